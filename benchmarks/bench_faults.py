@@ -12,11 +12,12 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from benchmarks.benchmark import Benchmark
+from protocol.faults import faults_of
 from tests.support.emulated_bench import KINDS, BenchFailedError, EmulatedBench, MotorTrace, playing
 
 Result = TypeVar("Result")
@@ -147,13 +148,17 @@ def ended(bench: EmulatedBench, at_ns: int | None) -> Outcome:
     motor = bench.motor()
     at_ns = at_ns or motor.trouble_ns
     if at_ns is None or not pressed(motor, at_ns):
-        raise BenchFailedError(f"no pulse when the fault came: {summary.get('faults')}")
+        raise BenchFailedError(f"no pulse when the fault came: {_named(summary)}")
     # Up to the end of the display, which also moves the tip.
     seen = (motor.time_ns >= at_ns) & (motor.time_ns < last_ns)
     moves = seen & (np.abs(motor.speed_m_per_s) > STILL_M_PER_S)
     presses = seen & (motor.force_n > LIGHT_N)
     peace_ns = min(int(motor.time_ns[here].max(initial=at_ns)) for here in (moves, presses))
-    return Outcome((peace_ns - at_ns) / 1e6, tuple(summary.get("faults", ())))
+    return Outcome((peace_ns - at_ns) / 1e6, tuple(map(str, faults_of(summary))))
+
+
+def _named(summary: Mapping[str, Any]) -> str:
+    return "; ".join(map(str, faults_of(summary))) or "no fault"
 
 
 def pressed(motor: MotorTrace, at_ns: int) -> bool:
@@ -215,7 +220,7 @@ def felt_again(bench: EmulatedBench, start: Callable[[], None]) -> MotorTrace:
     time.sleep(AFTER_S)
     summary = bench.end()
     if summary["faults"]:
-        raise BenchFailedError(f"at fault: {summary['faults']}")
+        raise BenchFailedError(f"at fault: {_named(summary)}")
     motor = bench.motor()
     later = motor.time_ns >= began_ns
     return MotorTrace(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.benchmark import Benchmark
 from protocol.config.scene_file import find_scene, load_document
+from protocol.faults import faults_of
 from sensing_node.scene import build_source
 from telepulse.scene import load_scene
 from telepulse.simulation.virtual_time import Simulation
@@ -104,7 +105,7 @@ def row(run: PlayedBench, base_n: float, pulse_n: Forces) -> tuple[str, ...]:
     summary, rmse_n = run.summary, settled_rmse_n(run.force_n, pulse_n)
     whole_n = summary["force_rmse_n"]["aligned"] or np.nan
     on_the_way = [f"{count} {name}" for name, count in summary["hardware"].items()]
-    on_the_way += summary["faults"]
+    on_the_way += map(str, faults_of(summary))
     return (
         run.kind,
         f"{rmse_n * 1e3:.2f}",

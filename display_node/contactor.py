@@ -22,13 +22,13 @@ from display_node.scoring.beat_statistics import BeatStatistics
 from display_node.scoring.prediction_score import PredictionScore
 from display_node.scoring.tracking_error import TrackingError
 from protocol.faults import Fault, Note, Part
+from protocol.finger import FingerState
 from protocol.summary.fields import Compensation, Limits, Loop, SampleCounts, Summary
 from protocol.tactile import matching_force_ratio
 from protocol.ticks import NOT_PLAYED, TickState
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import ChannelSamples
 from protocol.wire.telemetry import PlaybackStatus
-from pulse_drives.withdrawal import FingerState, describe_finger
 
 # Frames that wait for the slack to be scored; beyond, the oldest is scored at once.
 MOST_UNSCORED = 64
@@ -343,7 +343,7 @@ class Contactor:
             beats=self._beats.figures(self.force_ratio if self.press is None else None),
             limited=self._limits(loop.ticks or 0),
             hardware={} if hardware is None else dict(hardware.counts),
-            finger=describe_finger(finger if hardware is None else hardware.finger(now_ns)),
+            finger=finger if hardware is None else hardware.finger(now_ns),
             finger_stiffness=self.loop.finger_stiffness if known else None,
         )
         return figures if error is None else error.add_to(figures, loop)

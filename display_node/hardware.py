@@ -9,19 +9,19 @@ from display_node.plant.film_plausibility import FilmPlausibility, RisingForce
 from display_node.plant.scene import ActuatorScene, StepperScene
 from protocol.errors import DriveError, SceneError, SourceError
 from protocol.faults import Fault, FaultKind, Part, internal_fault
+from protocol.finger import TOUCH_N, FingerState, WithdrawalOutcome
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
 from pulse_drives import Drive, build_drive
 from pulse_drives.drive import WITHDRAWN_WITHIN_S
 from pulse_drives.scene import DriveScene
 from pulse_drives.supervisor import FILM_IS_WRONG, GIVEN_UP
-from pulse_drives.withdrawal import TOUCH_N, FingerState, WithdrawalOutcome
 from pulse_sensors.sensor import Sensor
 
 FIRST_SAMPLE_WITHIN_S = 5.0
 POLL_S = 0.01
-# Without a film, the drive's positions may be missing for its watchdog's time and this. Its own
-# supervision, which knows the cause, reports them before.
+# Without a film, the positions of a drive that answers may be missing for its watchdog's time and
+# this.
 POSITION_LATE_NS = 10_000_000
 _GIVEN_UP = {
     WithdrawalOutcome.UNCONFIRMED: FaultKind.UNCONFIRMED,
@@ -147,8 +147,12 @@ class Hardware:
         return status.fault
 
     def _late_position(self, now_ns: int) -> Fault | None:
-        late_ns = now_ns - self._status.received_ns
+        status = self._status
+        late_ns = now_ns - status.received_ns
         if late_ns <= self._watchdog_ns + POSITION_LATE_NS:
+            return None
+        if now_ns - status.answered_ns > self._watchdog_ns:
+            # Its supervision names a drive that is silent.
             return None
         cause = f"no position for {late_ns * 1e-6:.0f} ms"
         return Fault(FaultKind.NO_POSITION, self._drive.part, cause, now_ns)

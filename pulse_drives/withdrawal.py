@@ -1,4 +1,4 @@
-"""Withdrawal of the tip from the finger, and the sentence that describes the finger's state.
+"""Withdrawal of the tip from the finger.
 
 A withdrawal is slow until position or film confirms that the tip leaves the finger, then fast. A
 position or a force that changes in the wrong direction stops it at once. Without a confirmation it
@@ -6,8 +6,8 @@ ends after a commanded travel; while the film still reads a press, it continues 
 are arguments in ns on the monotonic clock.
 """
 
-from dataclasses import dataclass
-from enum import Enum
+from protocol.finger import TOUCH_N as TOUCH_N
+from protocol.finger import WithdrawalOutcome as WithdrawalOutcome
 
 # Speeds before and after the confirmation. At the second, the force of a usual pulse is gone after
 # some 30 ms.
@@ -42,24 +42,6 @@ FILM_SILENT_NS = 100_000_000
 # One that lasts longer counts as unconfirmed, and goes on. An axis that needs more than a second is
 # refused.
 OVERDUE_NS = 1_500_000_000
-# A force below this is not felt and may be the film's noise: it does not count as a press.
-TOUCH_N = 0.01
-
-
-class WithdrawalOutcome(Enum):
-    """State of a withdrawal.
-
-    WITHDRAWN: the position shows the tip off the finger, and a film that can be trusted shows no
-    force. RELIEVED: the film alone shows that no force is left; the position is unknown.
-    UNCONFIRMED: the whole travel was commanded, and neither is shown. WRONG_WAY: the tip went
-    towards the finger, and was stopped.
-    """
-
-    UNDER_WAY = "under way"
-    WITHDRAWN = "withdrawn"
-    RELIEVED = "relieved"
-    UNCONFIRMED = "unconfirmed"
-    WRONG_WAY = "wrong way"
 
 
 class Withdrawal:
@@ -106,6 +88,8 @@ class Withdrawal:
         self._clear_m = clear_m
         self._unconfirmed_m = position_m - clear_m + MARGIN_M
         self._trusted, self._film_trusted = trusted, film_trusted
+        # Since when the position shows the tip off the finger; 0 while it does not.
+        self._clear_ns = 0
         # Last reading, and its time; None before any.
         self._film_ns: int | None = None
         self._peak_n = self._last_n = 0.0
@@ -146,6 +130,10 @@ class Withdrawal:
             return
         self._wrong_way = 0
         self.confirmed |= position_m < self._peak_m - CONFIRMED_M
+        if position_m > self._clear_m:
+            self._clear_ns = 0
+        elif not self._clear_ns:
+            self._clear_ns = received_ns
         if self._is_clear(received_ns):
             self._outcome = WithdrawalOutcome.WITHDRAWN
 
@@ -201,14 +189,17 @@ class Withdrawal:
             self.restart(now_ns, travel_m)
         self._sent_ns = now_ns
         travelled = self._counted_m - travel_m >= self._unconfirmed_m
-        if self._outcome is WithdrawalOutcome.UNDER_WAY and travelled:
+        if self._outcome is WithdrawalOutcome.UNDER_WAY and (travelled or self._clear_ns):
             # Wait `PATIENCE_NS` from the start, or after a confirmation from the newest position:
-            # reports lag behind the commands.
+            # reports lag behind the commands. Where the position shows the tip off the finger, the
+            # film has so long to show it, too.
             since_ns = max(self._counted_ns, self._received_ns if self.confirmed else 0)
+            since_ns = self._clear_ns or since_ns
             if not self._trusted or now_ns - since_ns >= PATIENCE_NS:
                 self._outcome = self._shown(now_ns)
         if self._outcome is WithdrawalOutcome.UNDER_WAY:
-            return -FAST_M_PER_S if self.confirmed else -SLOW_M_PER_S
+            fast = self.confirmed and not self._clear_ns
+            return -FAST_M_PER_S if fast else -SLOW_M_PER_S
         pressed = self._outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N
         return -SLOW_M_PER_S if pressed else 0.0
 
@@ -234,58 +225,3 @@ class Withdrawal:
     def _may_turn(self, taken_ns: int, within_ns: int) -> bool:
         """Return whether an older command explains a motion towards the finger at a time."""
         return taken_ns - self._turning_ns < within_ns or taken_ns - self._sent_ns > PAUSE_NS
-
-
-@dataclass(frozen=True, slots=True)
-class FingerState:
-    """The measured state of the finger.
-
-    Attributes
-    ----------
-    force_n
-        Newest force in N; None where nothing measures it now.
-    unknown_s
-        Time in s without a measurement.
-    measured_by
-        Source of the force; empty for the film.
-    outcome
-        State of the drive's withdrawal; None where there is none.
-    answers
-        The drive answers.
-    """
-
-    force_n: float | None
-    unknown_s: float = 0.0
-    measured_by: str = ""
-    outcome: WithdrawalOutcome | None = None
-    answers: bool = True
-
-
-_DURING = {
-    WithdrawalOutcome.UNDER_WAY: "withdrawing",
-    WithdrawalOutcome.RELIEVED: "the drive's position is unknown",
-    WithdrawalOutcome.UNCONFIRMED: "the drive does not confirm its withdrawal",
-    WithdrawalOutcome.WRONG_WAY: "withdrawal stopped as it went towards the finger",
-}
-
-
-def describe_finger(state: FingerState) -> str:
-    """Describe the finger's measured state in the sentence that terminal, page and reports show.
-
-    Examples: "withdrawn"; "pressed with 245 mN, the drive does not answer"; "force unknown since
-    3 s, withdrawing".
-    """
-    force_n, by = state.force_n, f" ({state.measured_by})" if state.measured_by else ""
-    pressed = force_n is not None and abs(force_n) >= TOUCH_N
-    if force_n is None:
-        force = f"force unknown since {state.unknown_s:.0f} s"
-    else:
-        force = f"pressed with {force_n * 1e3:.0f} mN{by}" if pressed else f"not pressed{by}"
-    if not state.answers:
-        return f"{force}, the drive does not answer"
-    if state.outcome is not WithdrawalOutcome.WITHDRAWN:
-        return force if state.outcome is None else f"{force}, {_DURING[state.outcome]}"
-    # The drive's position shows the withdrawal; the film may contradict it.
-    if force_n is None:
-        return f"withdrawn by the drive's position, {force}"
-    return f"{force}, although the drive reports the tip withdrawn" if pressed else "withdrawn"

@@ -36,11 +36,12 @@ class DriveFilmScene(SensorTable, KindTable):
         return self
 
     def counts_within(self, limit_n: float) -> tuple[float, float]:
-        """Return the least and the greatest count of the readings within ±limit_n."""
+        """Return the counts at -limit_n and at +limit_n; a film may count down."""
         per_newton = 1 / (self.newtons_per_count or 1.0)
-        ends = (self.zero + per_newton * (end_n - self.preload_n) for end_n in (-limit_n, limit_n))
-        least, most = sorted(ends)
-        return least, most
+        pulled, pressed = (
+            self.zero + per_newton * (end_n - self.preload_n) for end_n in (-limit_n, limit_n)
+        )
+        return pulled, pressed
 
 
 class DriveFilmDecoder:

@@ -8,6 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from protocol.faults import faults_of
+from protocol.finger import finger_in
 from soak.bench_truth import FingerClaim, Round
 from soak.schedule import BENCH_WATCHDOG_S, Trouble, troubles
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, playing
@@ -51,10 +52,10 @@ def _play(folder: Path, trouble: Trouble) -> Round:
         summary = bench.end()
         motor = bench.motor()
     claims = [
-        FingerClaim(read_ns, status.state, status.summary["finger"] or "")
+        FingerClaim(read_ns, status.state, finger_in(status.summary))
         for read_ns, status in felt.statuses
     ]
-    faults, finger = faults_of(summary), summary.get("finger") or ""
+    faults, finger = faults_of(summary), finger_in(summary)
     return Round(
         str(trouble), claims, display.returncode, faults, finger, motor.time_ns, motor.force_n
     )

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from protocol.cli_options import FAULT_STATUS
 from protocol.faults import Fault
-from pulse_drives.withdrawal import TOUCH_N
-from soak.claims import pressed_n
+from protocol.finger import TOUCH_N, FingerState, WithdrawalOutcome, describe_finger
 from soak.truth import FORCE_MORE_N, fits, judge_claims
 from soak.verdict import Check
 
@@ -29,7 +28,7 @@ class FingerClaim:
 
     read_ns: int
     state: str
-    finger: str
+    finger: FingerState
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ class Round:
     """A round on the bench, with one fault.
 
     trouble: its name and length. claims: statuses until the display ended. status, faults, finger:
-    exit status, faults and sentence about the finger at its end. time_ns, force_n: the motor's
+    exit status, faults and the finger's state at its end. time_ns, force_n: the motor's
     record, one value per millisecond.
     """
 
@@ -45,7 +44,7 @@ class Round:
     claims: Sequence[FingerClaim]
     status: int | None
     faults: Sequence[Fault]
-    finger: str
+    finger: FingerState
     time_ns: NDArray[np.int64]
     force_n: NDArray[np.float64]
 
@@ -73,7 +72,7 @@ def judge_bench(rounds: Sequence[Round], failures: Sequence[str]) -> list[Check]
 
 
 def finger_errors(claim: FingerClaim, of: Round) -> Iterator[str]:
-    """Yield the errors in a status' sentence about the finger."""
+    """Yield the errors in a status' state of the finger."""
     window = of.force_n[
         (of.time_ns >= claim.read_ns - SEEN_WITHIN_NS) & (of.time_ns <= claim.read_ns)
     ]
@@ -81,16 +80,17 @@ def finger_errors(claim: FingerClaim, of: Round) -> Iterator[str]:
         return
     low_n, high_n = float(window.min()), float(window.max())
     felt = f"{low_n * 1e3:.0f} to {high_n * 1e3:.0f} mN were felt"
-    force_n = pressed_n(claim.finger)
-    if force_n is not None:
-        if not fits(force_n, low_n, high_n):
-            yield f"{claim.finger!r}, and {felt}"
-    elif claim.finger.startswith("not pressed") and low_n > TOUCH_N + FORCE_MORE_N:
-        yield f"{claim.finger!r}, and {felt}"
-    elif claim.finger.startswith("withdrawn"):
+    finger, said = claim.finger, repr(describe_finger(claim.finger))
+    done = finger.outcome is WithdrawalOutcome.WITHDRAWN and finger.answers is not False
+    if done and not finger.pressed:
         later_n = of.force_n[of.time_ns >= claim.read_ns]
         if len(later_n) and later_n.max() > TOUCH_N:
-            yield f"{claim.finger!r}, and {later_n.max() * 1e3:.0f} mN from then on"
+            yield f"{said}, and {later_n.max() * 1e3:.0f} mN from then on"
+    elif finger.pressed and finger.force_n is not None:
+        if not fits(finger.force_n, low_n, high_n):
+            yield f"{said}, and {felt}"
+    elif finger.force_n is not None and low_n > TOUCH_N + FORCE_MORE_N:
+        yield f"{said}, and {felt}"
 
 
 def end_errors(of: Round) -> Iterator[str]:
@@ -100,8 +100,8 @@ def end_errors(of: Round) -> Iterator[str]:
         yield f"exit status {of.status} with the faults {list(map(str, of.faults))}"
     if of.force_n[-1] > TOUCH_N:
         yield f"left pressed with {of.force_n[-1] * 1e3:.0f} mN"
-        if pressed_n(of.finger) is None:
-            yield f"{of.finger!r} at the end"
+        if not of.finger.pressed:
+            yield f"{describe_finger(of.finger)!r} at the end"
 
 
 def left_after_s(of: Round) -> float | None:

@@ -8,7 +8,18 @@ from dataclasses import dataclass
 from soak.felt import FeltLog, felt_again_ns, longest_gap_ns
 from soak.processes import SoakProcess
 from soak.scenario import LINKS, Scenario
-from soak.schedule import CONTINUOUS, PORTS, RESTARTED, SENSING, TEMPORARY, Fault
+from soak.schedule import (
+    CONTINUOUS,
+    FLOOD_KINDS,
+    FREEZES,
+    LINK_KINDS,
+    PORTS,
+    RESTARTED,
+    RESTARTS,
+    SENSING,
+    TEMPORARY,
+    Fault,
+)
 
 ALWAYS_THERE = (CONTINUOUS, RESTARTED)
 
@@ -38,19 +49,19 @@ async def do(fault: Fault, scenario: Scenario, seed: int) -> Done:
 def _displays(fault: Fault) -> tuple[str, ...]:
     if fault.target in (SENSING, PORTS):
         return CONTINUOUS, RESTARTED
-    return (fault.target.removesuffix("'s link"),)
+    return (fault.target,)
 
 
 async def _do(fault: Fault, scenario: Scenario, seed: int) -> int:
     kind = fault.kind
-    if fault.target.endswith("'s link"):
+    if kind in LINK_KINDS:
         return await _worsen(fault, scenario)
     if fault.target == PORTS:
         return await _flood(fault, scenario, seed)
     if kind == "temporary display":
         return await _visit(fault, scenario)
     node = scenario.nodes[fault.target]
-    if kind.startswith("freeze"):
+    if kind in FREEZES:
         await node.freeze(fault.for_s)
         return time.perf_counter_ns()
     return await _replace(fault, node, scenario, seed)
@@ -58,7 +69,7 @@ async def _do(fault: Fault, scenario: Scenario, seed: int) -> int:
 
 async def _replace(fault: Fault, node: SoakProcess, scenario: Scenario, seed: int) -> int:
     """End a node, and start a successor."""
-    if fault.kind.startswith("restart"):
+    if fault.kind in RESTARTS:
         await node.stop()
     else:
         node.kill()
@@ -72,7 +83,7 @@ async def _replace(fault: Fault, node: SoakProcess, scenario: Scenario, seed: in
 
 
 async def _worsen(fault: Fault, scenario: Scenario) -> int:
-    links = LINKS[fault.target.removesuffix("'s link")]
+    links = LINKS[fault.target]
     if fault.kind == "cut of one path":
         links = links[:1]
     for number in links:
@@ -84,7 +95,7 @@ async def _worsen(fault: Fault, scenario: Scenario) -> int:
 
 
 async def _flood(fault: Fault, scenario: Scenario, seed: int) -> int:
-    name = fault.kind.removeprefix("flood of ")
+    name = FLOOD_KINDS[fault.kind]
     addresses = [scenario.network.near]
     if name == "telemetry":
         addresses = [scenario.telemetry(role) for role in (CONTINUOUS, RESTARTED)]

@@ -21,6 +21,12 @@ PAIRED_SHARE = 0.25
 REST_S = (3.0, 4.5)
 SENSING_ENDS = ("kill sensing", "restart sensing", "impostor")
 DISPLAY_ENDS = ("kill display", "restart display")
+RESTARTS = ("restart sensing", "restart display")
+FREEZES = ("freeze sensing", "freeze display")
+# On the link of a display.
+LINK_KINDS = ("cut", "cut of one path", "loss", "delay")
+# Kind of a fault → what floods the ports.
+FLOOD_KINDS = {f"flood of {name}": name for name in FLOODS}
 _LENGTHS_S = {
     "kill sensing": (0.2, 3.0),
     "restart sensing": (0.2, 2.0),
@@ -34,7 +40,7 @@ _LENGTHS_S = {
     "loss": (2.0, 5.0),
     "delay": (2.0, 5.0),
     "temporary display": (5.0, 8.0),
-    **{f"flood of {name}": (2.0, 4.0) for name in FLOODS},
+    **dict.fromkeys(FLOOD_KINDS, (2.0, 4.0)),
 }
 KINDS = tuple(_LENGTHS_S)
 ENDING_DECKS = 3
@@ -53,8 +59,8 @@ BENCH_KINDS = tuple(_BENCH_LENGTHS_S)
 class Fault:
     """A fault that begins `after_s` after the start of its episode and lasts for `for_s`.
 
-    target: a node by its role, a display's "link", or the "ports". detail: the link's changes, or
-    the way in which a temporary display leaves.
+    target: a node by its role, or the "ports". detail: the changes of a display's link, or the way
+    in which a temporary display leaves.
     """
 
     kind: str
@@ -62,6 +68,11 @@ class Fault:
     after_s: float
     for_s: float
     detail: str = ""
+
+    @property
+    def part(self) -> tuple[str, bool]:
+        """The part that it is made on: the target, or its link."""
+        return self.target, self.kind in LINK_KINDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +115,7 @@ def episodes(seed: int) -> Iterator[Episode]:
         if random.random() < PAIRED_SHARE:
             second = next(faults)
             # Two faults of one part are made one after the other.
-            if second.target == first.target:
+            if second.part == first.part:
                 held = second
             else:
                 after_s = round(random.uniform(0.0, first.for_s), 2)
@@ -149,14 +160,14 @@ def _target(kind: str, random: Random) -> tuple[str, str]:
         case "freeze display":
             return display, ""
         case "cut":
-            return f"{display}'s link", "loss=100%"
+            return display, "loss=100%"
         case "cut of one path":
-            return f"{CONTINUOUS}'s link", "loss=100%"
+            return CONTINUOUS, "loss=100%"
         case "loss":
-            return f"{display}'s link", f"loss={random.uniform(1, 10):.1f}%"
+            return display, f"loss={random.uniform(1, 10):.1f}%"
         case "delay":
             delay_ms, jitter_ms = random.uniform(20, 100), random.uniform(0, 10)
-            return f"{display}'s link", f"delay={delay_ms:.0f}ms,jitter={jitter_ms:.1f}ms"
+            return display, f"delay={delay_ms:.0f}ms,jitter={jitter_ms:.1f}ms"
         case "temporary display":
             return TEMPORARY, random.choice(("killed", "stopped"))
     return PORTS, ""

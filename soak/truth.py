@@ -7,8 +7,8 @@ from typing import Any
 
 from protocol.cli_options import FAULT_STATUS
 from protocol.faults import faults_of
-from pulse_drives.withdrawal import TOUCH_N
-from soak.claims import LineClaim, StatusClaim, pressed_n
+from protocol.finger import TOUCH_N, describe_finger, finger_in
+from soak.claims import LineClaim, StatusClaim
 from soak.felt import FeltLog
 from soak.verdict import Check
 from telepulse.telemetry.events import INTERRUPTED, EventDetector
@@ -68,17 +68,14 @@ def state_errors(claim: StatusClaim) -> Iterator[str]:
 
 
 def finger_errors(claim: StatusClaim) -> Iterator[str]:
-    """Yield the errors in a status' sentence about the finger."""
-    finger = claim.summary["finger"] or ""
-    force_n, felt_n = pressed_n(finger), claim.felt_n
-    if force_n is not None:
-        wrong = not abs(force_n - felt_n) <= ROUNDING_N
-    elif finger.startswith("not pressed"):
-        wrong = not abs(felt_n) < TOUCH_N + ROUNDING_N
+    """Yield the errors in a status' state of the finger."""
+    finger, felt_n = finger_in(claim.summary), claim.felt_n
+    if finger.force_n is not None:
+        wrong = not abs(finger.force_n - felt_n) <= ROUNDING_N
     else:
-        wrong = not finger
+        wrong = finger.unknown_s is None
     if wrong:
-        yield f"{finger!r}, and {felt_n * 1e3:.1f} mN were felt"
+        yield f"{describe_finger(finger)!r}, and {felt_n * 1e3:.1f} mN were felt"
 
 
 def figure_errors(claim: StatusClaim) -> Iterator[str]:

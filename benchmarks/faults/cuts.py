@@ -95,7 +95,7 @@ def each_kind(benchmark: Benchmark) -> None:
         rows.append(_row(name, back_ms))
         all_back_ms += back_ms
         if summary.faults or summary.rejected:
-            print(name, summary.rejected, summary.faults)
+            print(name, summary.rejected, *map(str, summary.faults))
     benchmark.table(
         f"Felt again after the end of a cut, ms ({times} times each)",
         ("cut", "median", "p90", "most", "above 1 s"),

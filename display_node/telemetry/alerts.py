@@ -13,6 +13,7 @@ from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
 from protocol.faults import START_AGAIN, Fault, faults_of, notes_of, texts_by_node
+from protocol.finger import describe_finger, finger_in
 from protocol.refusals import REVOKED, Reason
 from protocol.summary.fields import awaited_in, contactors_of
 
@@ -164,7 +165,10 @@ def waiting_texts(state: str, summary: Mapping[str, Any]) -> list[str]:
 
 def finger_text(summary: Mapping[str, Any]) -> str:
     """Return the state of each finger, of several with the contactor's name; empty if unknown."""
-    fingers = {name: figures.get("finger") for name, figures in contactors_of(summary).items()}
+    fingers = {
+        name: describe_finger(finger_in(figures))
+        for name, figures in contactors_of(summary).items()
+    }
     found = (f"{name}: {text}" if name else text for name, text in fingers.items() if text)
     return ", ".join(found)
 

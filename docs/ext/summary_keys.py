@@ -3,6 +3,7 @@
 from typing import Any
 
 from protocol.faults import Fault, Note
+from protocol.finger import WithdrawalOutcome
 from protocol.refusals import Reason
 from protocol.summary.fields import OF_A_CONTACTOR, ErrorWindow, Summary
 from protocol.summary.figures import Surface, figures
@@ -12,6 +13,7 @@ _KINDS = {
     float | None: "number",
     bool | None: "true or false",
     str | None: "text",
+    WithdrawalOutcome | None: "text",
     list[str]: "list of texts",
     list[Fault]: "list of maps: `kind` ([list](commands.md#faults)), `part`, `contactor`, `cause`,"
     " `at_ns`, `remedy`",

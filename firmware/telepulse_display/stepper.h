@@ -12,8 +12,9 @@
 const float LATE_S = 2e-3;
 const uint8_t TICKS_PER_MS = TICK_HZ / 1000;
 
-// Written by the interrupt: counts modulo their type, which the main loop extends.
-volatile uint16_t tick_steps = 0;
+// Written by the interrupt: counts modulo their type, which the main loop extends. That of steps
+// begins anywhere.
+volatile uint16_t tick_steps KEPT_OVER_RESET;
 volatile uint8_t tick_ms = 0;
 uint8_t ticks_left = TICKS_PER_MS;
 phase_t tick_phase = 0;
@@ -62,6 +63,8 @@ struct Stepper {
   float wanted = 0;
   float acceleration = 1000;
   int32_t position = 0;
+  // Of `position`.
+  uint16_t counted_steps = 0;
   // Where steps end, from the next millisecond on.
   int32_t lowest = 0, highest = 0;
 
@@ -123,6 +126,5 @@ private:
     interrupts();
   }
 
-  uint16_t counted_steps = 0;
   uint8_t counted_ms = 0;
 };

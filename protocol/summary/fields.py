@@ -13,6 +13,7 @@ from pydantic import TypeAdapter
 
 from protocol.config.quantities import Name
 from protocol.faults import Fault, Note, records_of_texts
+from protocol.finger import FingerState
 from protocol.refusals import Reason
 
 # No figure is larger: clocks at most 292 years apart are 1e13 ms.
@@ -319,7 +320,7 @@ class Summary:
     notes: list[Note] = field(default_factory=list)
     refused: str | None = None
     waiting_for: list[Reason] = field(default_factory=list)
-    finger: str | None = None
+    finger: FingerState = field(default_factory=FingerState)
     finger_stiffness: float | None = None
     contactors: dict[Name, "Summary"] = field(default_factory=dict)
 
@@ -385,13 +386,27 @@ def read_summary(plain: Any) -> Summary:
 
 
 def _with_records(plain: dict[str, Any]) -> dict[str, Any]:
-    """Return the summary of an earlier version, in which faults and what is awaited were texts."""
+    """Return the summary of an earlier version.
+
+    There faults and what is awaited were texts, and so was the state of the finger, of which
+    nothing is taken.
+    """
     changed, texts, awaited = dict(plain), plain.get("faults"), plain.get("waiting_for")
     if isinstance(texts, list) and all(isinstance(each, str) for each in texts):
         changed["faults"], changed["notes"] = records_of_texts(texts)
     if awaited is None or isinstance(awaited, str):
         changed["waiting_for"] = [Reason(awaited)] if awaited else []
-    return changed
+    contactors = plain.get("contactors")
+    if isinstance(contactors, dict):
+        changed["contactors"] = {name: _fingerless(each) for name, each in contactors.items()}
+    whole: dict[str, Any] = _fingerless(changed)
+    return whole
+
+
+def _fingerless(figures: Any) -> Any:
+    if not isinstance(figures, dict) or not isinstance(figures.get("finger"), str | None):
+        return figures
+    return {key: value for key, value in figures.items() if key != "finger"}
 
 
 def awaited_in(summary: Mapping[str, Any]) -> list[Reason]:

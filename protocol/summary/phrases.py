@@ -5,6 +5,7 @@ from typing import Any, Final, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.faults import faults_of, notes_of
+from protocol.finger import describe_finger, finger_in
 from protocol.refusals import explain_causes
 from protocol.summary.fields import STATES, awaited_in
 
@@ -142,6 +143,7 @@ PHRASES: Final[Mapping[str, Callable[[Any], str | None]]] = {
     "causes_if_any": lambda rejected: _joined(explain_causes(rejected), "\n"),
     "counts": lambda counts: _joined(f"{n} {name}" for name, n in sorted(counts.items())),
     "faults": lambda faults: "; ".join(map(str, faults_of({"faults": faults}))) or "none",
+    "finger": lambda finger: describe_finger(finger_in({"finger": finger})) or None,
     "first_copies": lambda first: _joined(f"{n} first over {name}" for name, n in first.items()),
     "interruptions": interruptions_text,
     "limits": lambda limits: _joined(limit_texts(limits), "; "),

@@ -9,13 +9,11 @@ stop, whether this process has ended or hangs. After a fault a thread withdraws 
 from protocol.errors import DriveError
 from protocol.faults import FaultKind
 from pulse_drives.axis import Axis
-from pulse_drives.cia402.node import Cia402Node
+from pulse_drives.cia402.node import BEATS, Cia402Node
 from pulse_drives.cia402.state_machine import Controlword, State, towards_enabled
 from pulse_drives.drive import Drive, DriveDevice
 from pulse_drives.scene import Cia402Scene
 
-# Number of heartbeats in the drive's watchdog time.
-BEATS = 4
 # Object of the digital inputs, and its bits for the limit switches.
 DIGITAL_INPUTS, NEGATIVE_INPUT, POSITIVE_INPUT = 0x60FD, 1, 2
 

@@ -34,6 +34,8 @@ from pulse_drives.supervisor import NO_ANSWER, Silence, TimeoutLock
 NMT, SYNC = 0x00, 0x80
 EMERGENCY, TPDO1, TPDO2, RPDO1, HEARTBEAT = 0x80, 0x180, 0x280, 0x200, 0x700
 BY_SYNC, BY_EVENT = 1, 255
+# Number of heartbeats in the drive's watchdog time.
+BEATS = 4
 # Greatest time between two TPDOs, so that a silent drive differs from one at standstill.
 EVENT_MS = 10
 # Period of the drive's heartbeat, by which a drive that leaves its NMT state is told from one that
@@ -229,9 +231,21 @@ class Cia402Node:
         self.write_optional(0x609A, 0, self._acceleration)
         self._select(Mode.HOMING)
         self.command(Controlword.ENABLE, 0)
+        # A search towards the finger must not outlast its host, which alone bounds it.
+        self.arm_watchdog()
+        self.send_heartbeat()
         self.command(Controlword.START_HOMING, 0)
+        self._await_home(method, guard)
+        self.end_search()
+        ends = (axis.lowest_m, axis.furthest_m)
+        self._implausible_m = IMPLAUSIBLE * (ends[1] - ends[0])
+        for subindex, end in enumerate(sorted(map(axis.units.position, ends)), 1):
+            self.write_optional(0x607D, subindex, end)
+
+    def _await_home(self, method: int, guard: Callable[[], None]) -> None:
+        axis = self._axis
         deadline_s = time.monotonic() + axis.search_s
-        began_ns, began_m = time.perf_counter_ns(), self.position_m
+        began_ns, began_m, beat_ns = time.perf_counter_ns(), self.position_m, 0
         while self.received_ns < began_ns or self.statusword & HOMING_ATTAINED != HOMING_ATTAINED:
             guard()
             bound_search(axis, began_m, self.position_m)
@@ -243,29 +257,33 @@ class Cia402Node:
                 raise DriveError(FaultKind.NOT_HOMED, f"homing method {method} fails")
             if time.monotonic() > deadline_s:
                 raise DriveError(FaultKind.NOT_HOMED, f"no home within {axis.search_s:.0f} s")
+            now_ns = time.perf_counter_ns()
+            if now_ns - beat_ns >= self._scene.watchdog_ns // BEATS:
+                beat_ns = now_ns
+                self.send_heartbeat()
             time.sleep(POLL_S)
-        self.end_search()
-        ends = (axis.lowest_m, axis.furthest_m)
-        self._implausible_m = IMPLAUSIBLE * (ends[1] - ends[0])
-        for subindex, end in enumerate(sorted(map(axis.units.position, ends)), 1):
-            self.write_optional(0x607D, subindex, end)
 
     def end_search(self) -> None:
         """See `DriveDevice.end_search`."""
         self.command(Controlword.ENABLE, 0)
+        # Objects are read for longer than the watchdog permits.
+        self._disarm_watchdog()
         self._select(self.mode)
 
     def arm_watchdog(self) -> None:
         """See `DriveDevice.arm_watchdog`: a watchdog on our heartbeats."""
         watchdog_ms = round(self._scene.watchdog_ns / 1e6)
         try:
-            self.write(0x1016, 1, 0)
+            self._disarm_watchdog()
             self.write(0x1016, 1, self._scene.host << 16 | watchdog_ms)
         except DriveError as error:
             if error.kind is FaultKind.REFUSED:
                 raise DriveError(FaultKind.NO_WATCHDOG, str(error)) from None
             raise
         self.write_optional(0x6007, 0, QUICK_STOP_ON_ABORT)
+
+    def _disarm_watchdog(self) -> None:
+        self.write(0x1016, 1, 0)
 
     def command(self, control: Controlword, velocity: int) -> int:
         """Send a controlword and a target velocity; return the time of sending in ns."""

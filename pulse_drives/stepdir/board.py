@@ -26,18 +26,20 @@ from pulse_drives.supervisor import NO_ANSWER, Silence
 from pulse_drives.withdrawal import FAST_M_PER_S
 
 PROTOCOL = 1
-LEAST_FIRMWARE = 1 << 8
+LEAST_FIRMWARE = (1 << 8) + 1
 UPDATE = (
     "arduino-cli compile --upload --fqbn arduino:avr:uno --port {port} firmware/telepulse_display"
 )
 # Opening the port resets many boards, and a bootloader waits up to 2 s before it starts them.
 GREETED_WITHIN_S = 4.0
 REPORTED_WITHIN_S = 0.5
-# A withdrawal of the board itself over the whole travel, at its slowest.
-WITHDRAWN_WITHIN_S = 5.0
+# A withdrawal of the board itself, beyond the time at its rate: a ramp, and USB.
+WITHDRAWAL_MARGIN_S = 2.0
 POLL_S = 0.002
-# The board gives up a search somewhat later than the host.
+# The board gives up a search somewhat later than the host. It takes no search beyond twice the
+# travel, and none whose switch opens beyond half of it.
 SEARCH_SHARE = 1.2
+MOST_SEARCH_SHARE = 2.0
 LONGEST_SEARCH_MS = 60_000
 
 TROUBLES = {
@@ -51,6 +53,7 @@ TROUBLES = {
     TripCause.NO_HOME: "no home switch",
     TripCause.STUCK_SWITCH: "the home switch stays closed",
     TripCause.HOMING_TIMEOUT: "the search takes too long",
+    TripCause.PRESSED: "the force rises",
 }
 # Causes that are no fault of carrier or motor.
 KINDS = {
@@ -78,7 +81,10 @@ class DisplayBoard:
         axis: Axis,
         film_counts: tuple[float, float] | None,
     ) -> None:
-        """Open the line; film_counts: hard limits of the film, if any. Raises DriveError."""
+        """Open the line. Raises DriveError.
+
+        film_counts: hard limits of the film, if any: where it is pulled, and where it is pressed.
+        """
         self._line, self._scene, self._axis = line, scene, axis
         self._film_counts = film_counts
         # A copy: attributes of a scene take longer to read.
@@ -117,34 +123,36 @@ class DisplayBoard:
         """See `DriveDevice.configure`: check the version, set the limits, switch the motor on."""
         greeting = self._line.greet(GREETED_WITHIN_S)
         self._check(greeting)
-        # A board that was reset takes the tip off the finger first.
-        self._await_rest()
-        self._ask(Format.DISARM)
+        # One that was reset, or whose host has ended, takes the tip off the finger first.
+        self._disarm()
         self._ask(Format.LIMITS, *self._limits(greeting.film_full_scale))
         self._ask(Format.ARM)
         self._await_report()
 
     def home(self, guard: Callable[[], None]) -> None:
-        """See `DriveDevice.home`."""
+        """See `DriveDevice.home`. Velocity 0 shows the board that its host is there."""
         axis, began_m = self._axis, self.position_m
         self._ask(Format.HOME, *self._search())
-        state = self._await_report()
+        state = self._await_report(self._show_life)
         while not (state.mode.follows and state.flags & StateFlag.HOMED):
             guard()
             if state.mode is not BoardMode.HOMING:
                 raise self._unhomed(state)
             bound_search(axis, began_m, self.position_m)
-            time.sleep(POLL_S)
-            state = self._await_report()
+            state = self._await_report(self._show_life)
 
     def end_search(self) -> None:
-        """Go back to where the search for home began. The board then takes no velocities."""
+        """End the search for home. The board goes back to where it began if the film shows a press.
+
+        The board then takes no velocities.
+        """
         if self.state is not None and self.state.mode is BoardMode.HOMING:
             self._ask(Format.WITHDRAW)
-        self._await_rest()
+        self._await_mode(lambda mode: mode is not BoardMode.WITHDRAWING)
 
     def arm_watchdog(self) -> None:
-        """Do nothing: the watchdog is among the limits, and counts from the first velocity on."""
+        """Show the board, whose watchdog counts from `home` on, that its host is there."""
+        self._show_life()
 
     def send_velocity(self, velocity: int) -> bool:
         """Send a velocity in 1/256 step/s; return False where it was superseded.
@@ -170,10 +178,12 @@ class DisplayBoard:
         return self.state is not None and StateFlag.HOME_CLOSED in self.state.flags
 
     def close(self) -> None:
-        """See `DriveDevice.close`. A board that cannot be reached withdraws the tip by itself."""
+        """See `DriveDevice.close`: the board goes home, and switches its motor off.
+
+        One that cannot be reached withdraws the tip by itself.
+        """
         try:
-            self._await_rest()
-            self._ask(Format.DISARM)
+            self._disarm()
         except DriveError as error:
             self._line.counts[f"not disarmed: {error.kind}"] += 1
         self._line.detach()
@@ -206,6 +216,8 @@ class DisplayBoard:
         axis, scene = self._axis, self._scene
         step_m = axis.units.step_m
         options = LimitOption(0)
+        if self._film_counts is not None and self._film_counts[0] > self._film_counts[1]:
+            options |= LimitOption.FILM_FALLS
         if scene.inverted:
             options |= LimitOption.INVERTED
         if scene.home_switch == "normally_closed":
@@ -233,10 +245,10 @@ class DisplayBoard:
         """Return the hard limits of the film, as far as its converter counts. Raises DriveError."""
         if self._film_counts is None:
             return 0, full_scale + 1
+        low, high = sorted(self._film_counts)
         # A film at the end of its range has no known force above that.
-        least, most = max(0.0, self._film_counts[0]), min(self._film_counts[1], full_scale)
+        least, most = max(0.0, low), min(high, full_scale)
         if math.ceil(least) >= math.floor(most):
-            low, high = self._film_counts
             raise DriveError(
                 FaultKind.REFUSED,
                 f"{self._line.name}: the film's hard limits are counts {low:.0f} to {high:.0f}, and"
@@ -247,11 +259,14 @@ class DisplayBoard:
 
     def _search(self) -> HomeSearch:
         axis, scene = self._axis, self._scene
-        travel_m = SEARCH_SHARE * (axis.furthest_m - axis.lowest_m) + OPENED_M
+        step_m = axis.units.step_m
+        travel = math.floor((axis.furthest_m - axis.lowest_m) / step_m)
+        opened = round(OPENED_M / step_m)
+        distance = min(SEARCH_SHARE * travel + opened, MOST_SEARCH_SHARE * travel)
         return HomeSearch(
             rate=0 if scene.homing == "none" else self._rate(scene.homing_speed_m_per_s),
-            distance=round(travel_m / axis.units.step_m),
-            opening=max(1, round(OPENED_M / axis.units.step_m)),
+            distance=math.floor(distance),
+            opening=max(1, min(opened, travel // 2)),
             timeout_ms=min(round(axis.search_s * 1e3), LONGEST_SEARCH_MS),
         )
 
@@ -261,7 +276,7 @@ class DisplayBoard:
     def _unhomed(self, state: BoardState) -> DriveError:
         """Return the error of a search that the board has ended."""
         text = f"{self._line.name}: {TROUBLES[state.cause]}"
-        if state.cause in (TripCause.FILM, TripCause.NO_HOME):
+        if state.cause in (TripCause.FILM, TripCause.NO_HOME, TripCause.PRESSED):
             return DriveError(FaultKind.WRONG_WAY, f"{text} on the way home; {ADVICE}")
         return DriveError(FaultKind.NOT_HOMED, text)
 
@@ -274,19 +289,41 @@ class DisplayBoard:
         result = answer.result.name.lower().replace("_", " ")
         raise DriveError(FaultKind.REFUSED, f"{self._line.name} refuses {what}: {result}{field}")
 
-    def _await_report(self) -> BoardState:
-        """Wait for a state that is newer than now, and take it. Raises DriveError."""
+    def _show_life(self) -> None:
+        self._line.send(Format.VELOCITY, 0, self._validity_ms)
+
+    def _disarm(self) -> None:
+        """Switch the motor off; a board that may press withdraws before. Raises DriveError."""
+        # One that is silent is not waited for.
+        self._await_report()
+        self._ask(Format.DISARM)
+        self._await_mode(lambda mode: mode is BoardMode.DISARMED)
+
+    def _await_mode(self, is_awaited: Callable[[BoardMode], bool]) -> None:
+        """Wait for a state, as long as a withdrawal takes at most. Raises DriveError."""
+        axis = self._axis
+        speed_m_per_s = min(FAST_M_PER_S, axis.max_speed_m_per_s)
+        withdrawal_s = (axis.furthest_m - axis.lowest_m) / speed_m_per_s + WITHDRAWAL_MARGIN_S
+        until_s = time.monotonic() + withdrawal_s
+        while not is_awaited(self._await_report().mode):
+            if time.monotonic() > until_s:
+                raise DriveError(
+                    "fault", f"{self._line.name}: no withdrawal within {withdrawal_s:.1f} s"
+                )
+            time.sleep(POLL_S)
+
+    def _await_report(self, meanwhile: Callable[[], None] = lambda: None) -> BoardState:
+        """Wait for a state that is newer than now, and take it. Raises DriveError.
+
+        meanwhile: called at the begin, and as often as the line is looked at.
+        """
         asked_ns, until_s = time.perf_counter_ns(), time.monotonic() + REPORTED_WITHIN_S
+        meanwhile()
         while self.received_ns <= asked_ns or self.state is None:
             if self._line.lost or time.monotonic() > until_s:
                 kind = self._line.lost_kind if self._line.lost else FaultKind.NO_ANSWER
                 raise DriveError(kind, f"{self._line.name}: {self._line.lost or 'no state comes'}")
             time.sleep(POLL_S)
             self.refresh()
+            meanwhile()
         return self.state
-
-    def _await_rest(self) -> None:
-        """Wait until the board's own withdrawal has ended. Raises DriveError."""
-        until_s = time.monotonic() + WITHDRAWN_WITHIN_S
-        while self._await_report().mode is BoardMode.WITHDRAWING and time.monotonic() < until_s:
-            time.sleep(POLL_S)

@@ -73,6 +73,7 @@ class TripCause(IntEnum):
     NO_HOME = 7
     STUCK_SWITCH = 8
     HOMING_TIMEOUT = 9
+    PRESSED = 10
 
 
 class CommandResult(IntEnum):
@@ -101,12 +102,13 @@ class StateFlag(IntFlag):
 
 
 class LimitOption(IntFlag):
-    """Options of the limits: levels of the board's pins."""
+    """Options of the limits: levels of the board's pins, and the sign of its film."""
 
     INVERTED = 1
     NORMALLY_CLOSED = 2
     HAS_FAULT_PIN = 4
     FAULT_IS_HIGH = 8
+    FILM_FALLS = 16
 
 
 class BoardState(NamedTuple):

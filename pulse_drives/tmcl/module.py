@@ -21,6 +21,7 @@ RETRY_FOR_S = 0.5
 # Kinds of DriveError after which a repeated request may succeed.
 TRANSIENT = (FaultKind.NO_ANSWER, FaultKind.GARBLED, FaultKind.WRONG_DEVICE)
 SEARCH_POLL_S = 0.01
+POLLS_PER_WATCHDOG = 4
 # Polls of a motor that comes to rest, enough at any line's bit rate.
 REST_POLLS = 100
 
@@ -154,6 +155,8 @@ class TmclModule:
             self._set(Parameter.SWITCH_SPEED, max(1, speed // 4))
             # Read before the search, whose travel counts from here.
             self.read(Parameter.ACTUAL_POSITION)
+            # A search towards the finger must not outlast its host, which alone bounds it.
+            self.arm_watchdog()
             self._retry(Command.REFERENCE_SEARCH, Search.START)
             try:
                 self._await_home(time.monotonic() + axis.search_s, guard)
@@ -173,7 +176,7 @@ class TmclModule:
             if time.monotonic() > deadline_s:
                 text = f"no home switch within {self._axis.search_s:.0f} s"
                 raise DriveError(FaultKind.NOT_HOMED, text)
-            time.sleep(SEARCH_POLL_S)
+            time.sleep(min(SEARCH_POLL_S, self._scene.watchdog_ns * 1e-9 / POLLS_PER_WATCHDOG))
 
     def arm_watchdog(self) -> None:
         """See `DriveDevice.arm_watchdog`."""

@@ -45,7 +45,8 @@ def check_drive(
     Notes
     -----
     No command may wait, no motion go the wrong way or beyond the soft limits. The tip must leave
-    the finger without commands and after a withdrawal, and the drive start again and be released.
+    the finger without commands, after a withdrawal and after an exception of the device, and the
+    drive start again and be released.
     """
     table = read_table(section, keys)
     require(hasattr(section, "driver"), f'{section.__name__} lacks driver = "module:class"')
@@ -64,6 +65,7 @@ def check_drive(
             _keep(drive, SPEED_M_PER_S, FORWARD_S)
             drive.withdraw()
             _check_withdrawn(drive, position_m, "after withdraw()", SPEED_M_PER_S)
+            _check_error(drive, position_m)
         finally:
             call_within(CLOSED_WITHIN_S, "close", drive.close)
         rested_m = position_m()
@@ -131,6 +133,32 @@ def _check_limit(drive: Drive, position_m: Callable[[], float]) -> None:
         time.sleep(PERIOD_S)
     fault = drive.status().fault
     require(fault is None, f"at the soft limit there is a fault: {fault}")
+
+
+def _check_error(drive: Drive, position_m: Callable[[], float]) -> None:
+    """Check that what sending a speed raises is a fault, after which the tip is withdrawn."""
+    _start(drive, position_m)
+    _keep(drive, SPEED_M_PER_S, FORWARD_S)
+    send = drive._send
+    raised: list[int] = []
+
+    def fail_once(now_ns: int) -> None:
+        if not raised:
+            raised.append(now_ns)
+            raise RuntimeError("conformance test")
+        send(now_ns)
+
+    drive._send = fail_once  # type: ignore[method-assign]
+    try:
+        drive.command(SPEED_M_PER_S)
+        _check_withdrawn(drive, position_m, "after an exception of its device", SPEED_M_PER_S)
+    finally:
+        drive._send = send  # type: ignore[method-assign]
+    cause = "" if (fault := drive.status().fault) is None else fault.cause
+    require(
+        RuntimeError.__name__ in cause,
+        f"after an exception of its device the fault is {cause!r}: let it reach the Drive",
+    )
 
 
 def _check_withdrawn(

@@ -19,6 +19,9 @@ OPEN_WITHIN_S = 10.0
 # The rate over a second or two may differ from the nominal one by this share.
 RATE_ERROR = 0.2
 ENDS_S = 3.0
+RECOVERS_WITHIN_S = 20.0
+# Before each exception at a read.
+GOOD_READS = 3
 # Blocks that are looked at before a device is closed and opened again.
 BLOCKS = 10
 
@@ -41,7 +44,8 @@ def check_sensor(
     Notes
     -----
     A read may not wait for long. Samples must have the shape of the channels, finite values, rising
-    times and the table's rate, and the device must be released and open again.
+    times and the table's rate, and the device must be released and open again. After exceptions of
+    any kind, at reads and at openings, samples must come again.
     """
     table = read_table(section, keys)
     folder = Path() if folder is None else folder
@@ -55,6 +59,65 @@ def check_sensor(
             _check_stream(sensor, seconds)
         finally:
             call_within(ENDS_S, "close, while a read waits,", sensor.close)
+    with check_release("Sensor.close, after the device has failed,"):
+        _check_recovery(table, folder)
+
+
+class FailingPort:
+    """A port that raises what drivers raise: at a read, at the next two openings, and once more."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self.name = port.name
+        self._reading: list[Exception | None] = [*[None] * GOOD_READS, OSError("pulled")]
+        self._reading += [*[None] * GOOD_READS, MemoryError("read")]
+        self._opening: list[Exception | None] = [None, RuntimeError("open"), MemoryError("open")]
+        #: True when data has come after all exceptions.
+        self.has_recovered = False
+
+    def open(self) -> None:
+        """Open the device, or raise."""
+        self._port.open()
+        self._raise_next(self._opening)
+
+    def read(self) -> Any:
+        """Read the device, or raise."""
+        data = self._port.read()
+        self._raise_next(self._reading)
+        self.has_recovered |= bool(data) and not (self._reading or self._opening)
+        return data
+
+    def close(self) -> None:
+        """Release the device."""
+        self._port.close()
+
+    def _raise_next(self, errors: list[Exception | None]) -> None:
+        error = errors.pop(0) if errors else None
+        if error is not None:
+            raise error
+
+
+def _check_recovery(table: SensorScene, folder: Path) -> None:
+    """Check that samples come again after the device has failed in any way."""
+    port, decoder = table.device(folder)
+    failing = FailingPort(port)
+    sensor = Sensor(failing, decoder, table)
+    try:
+        until_s = time.monotonic() + RECOVERS_WITHIN_S
+        has_recovered = has_samples = False
+        while not has_samples:
+            require(
+                time.monotonic() < until_s,
+                "no sample came after the device was gone and was opened again:"
+                f" {'; '.join(sensor.faults())}",
+            )
+            time.sleep(0.005)
+            # The samples of the poll in which it recovers may be from before.
+            had_recovered, has_recovered = has_recovered, failing.has_recovered
+            blocks = call_within(READ_WITHIN_S, "poll", sensor.poll)
+            has_samples = had_recovered and bool(blocks)
+    finally:
+        call_within(ENDS_S, "close, after the device has failed,", sensor.close)
 
 
 def _check_port(port: Port, decoder: Decoder, table: SensorScene) -> None:

@@ -17,6 +17,7 @@ from display_node.telemetry.alerts import (
     waiting_texts,
 )
 from protocol.config.quantities import count_text
+from protocol.finger import describe_finger, finger_in
 from protocol.refusals import explain_causes
 from protocol.summary.fields import contactors_of
 from protocol.summary.figures import Surface, figures_on
@@ -217,7 +218,7 @@ def contactor_rows(live: LiveState, data: WindowScores, silent_ns: int = 0) -> l
                 _whole_mn(beats.get("height_n")),
                 NOTHING if rate_per_min is None else f"{rate_per_min:.0f} /min",
                 NOTHING if quality is None else f"{quality:.2f}",
-                own.get("finger") or NOTHING,
+                describe_finger(finger_in(own)) or NOTHING,
             ]
         )
     return rows

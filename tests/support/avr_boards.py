@@ -61,11 +61,15 @@ class Display(Harness):
             self._receive()
         return self.states[-1]
 
-    def run_until(self, mode: BoardMode, most_ms: int = 5_000) -> BoardState:
-        """Let time pass until the board is in a state."""
-        for _ in range(most_ms):
+    def run_until(
+        self, mode: BoardMode, most_ms: int = 5_000, *, alive: bool = False
+    ) -> BoardState:
+        """Let time pass until the board is in a state; alive: send velocity 0 each 10 ms."""
+        for passed_ms in range(most_ms):
             if self.run(1).mode is mode:
                 return self.states[-1]
+            if alive and passed_ms % 10 == 0:
+                self.send(Format.VELOCITY, 0, 20)
         raise AssertionError(f"not in state {mode.name} but {self.states[-1]}")
 
     def send(self, command: Format, *fields: int) -> int:

@@ -4,7 +4,6 @@ The drive does not report such a fault and continues to answer: supervision has 
 modelled: two faults at once, intermittent faults.
 """
 
-import math
 import random
 import struct
 import time
@@ -244,8 +243,9 @@ class FaultyBoard(EmulatedBoard):
         law: ContactLaw,
         film: DriveFilmScene | None,
         now_ns: int,
+        noise_n: float = 0.0,
     ) -> None:
-        super().__init__(drive, stepper, law, film, now_ns, rigid=True)
+        super().__init__(drive, stepper, law, film, now_ns, noise_n, rigid=True)
         self.injector = FaultInjector(stepper.step_m)
         self.versions: dict[str, int] = {}
         self._amplifier = amplifier(film, 0.0)
@@ -266,11 +266,11 @@ class FaultyBoard(EmulatedBoard):
         read_n = self._late_n[0]
         while len(self._late_n) > injector.film_delay_ns // TICK_NS:
             read_n = self._late_n.popleft()
-        settings = self._amplifier
-        film_v = settings["film_zero_v"] + settings["film_v_per_n"] * read_n
         if (ratio, out) != (1.0, 1.0):
             self._sketch.set(turns_in=ratio, turns_out=out)
-        self._sketch.set(film_v=film_v if injector.spoils_film else math.nan)
+        if injector.spoils_film:
+            film_v = self._amplifier["film_zero_v"] + self._amplifier["film_v_per_n"] * read_n
+            self._sketch.set(film_v=film_v, film_noise_v=0.0)
         super()._pass_ms()
 
     def _as_read(self, frame: bytes) -> bytes:

@@ -5,6 +5,7 @@ from itertools import count
 from typing import Any, get_type_hints
 
 from protocol.faults import Fault, FaultKind, Note, Part
+from protocol.finger import WithdrawalOutcome
 from protocol.refusals import Reason
 from protocol.summary.fields import ErrorWindow, Summary, read_summary
 
@@ -26,6 +27,7 @@ def _values(kind: Any, numbers: "count[int]") -> Any:
         bool | None: lambda: True,
         str | None: lambda: f"text {next(numbers)}",
         list[str]: lambda: [f"word {next(numbers)}"],
+        WithdrawalOutcome | None: lambda: WithdrawalOutcome.UNDER_WAY,
         list[ErrorWindow]: lambda: [_values(ErrorWindow, numbers)],
         list[Fault]: lambda: [
             Fault(FaultKind.SILENT, Part.FILM, f"cause {next(numbers)}", next(numbers), "cun")

@@ -97,8 +97,8 @@ class ThreadedBench:
         law = self.law or finger.contact(self.scene.layer.layer())
         self.motor: FaultyMotor | FaultyBoard
         if isinstance(self.drive_scene, StepdirScene):
-            now_ns = world.now_ns
-            self.motor = FaultyBoard(self.drive_scene, finger, law, self.drive_film, now_ns)
+            film, noise_n = self.drive_film, self.scene.film.noise_n
+            self.motor = FaultyBoard(self.drive_scene, finger, law, film, world.now_ns, noise_n)
         else:
             self.motor = FaultyMotor(actuator, law, self.drive_scene.touch_m, world.now_ns)
         self.moments: list[MotorState] = []

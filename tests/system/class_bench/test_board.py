@@ -17,6 +17,7 @@ import pytest
 from pulse_drives.stepdir.frames import (
     BoardLimits,
     BoardMode,
+    BoardState,
     CommandResult,
     Format,
     HomeSearch,
@@ -33,7 +34,7 @@ pytestmark = pytest.mark.skipif(simavr.missing() is not None, reason=str(simavr.
 
 DISARMED, ARMED, HOMING, READY, RUNNING, WITHDRAWING, WITHDRAWN, FAULT = BoardMode
 DONE, WRONG_STATE, OUT_OF_BOUNDS, UNKNOWN, NO_LIMITS, FILM_OUTSIDE = CommandResult
-NONE, SILENCE, FILM, FAULT_PIN, HOST, RESET, SWITCH, NO_HOME, STUCK, TIMEOUT = TripCause
+NONE, SILENCE, FILM, FAULT_PIN, HOST, RESET, SWITCH, NO_HOME, STUCK, TIMEOUT, PRESSED = TripCause
 HOMED, AT_HOME, AT_LOWEST, AT_HIGHEST, FAULTY, OUTSIDE, HAS_LIMITS, ON, EXPIRED = StateFlag
 STATE, VELOCITY, HOME, LIMITS = Format.STATE, Format.VELOCITY, Format.HOME, Format.LIMITS
 ARM, DISARM, CLEAR, WITHDRAW = Format.ARM, Format.DISARM, Format.CLEAR, Format.WITHDRAW
@@ -41,6 +42,7 @@ FULL_SCALE = 16_368
 STEP_M = 2e-3 / 200 / 16
 USUAL = BoardLimits(0, 4_000, 10_000_000, TICK_HZ, 500, 13_000, 3_000, 16_000, 50, 0)
 SEARCH = HomeSearch(8_000, 6_000, 500, 3_000)
+HERE = HomeSearch(0, 0, 1, 1)
 # First touch is at this position, as home is 2 mm before it and the switch opens a little later.
 TOUCH = 3_200
 Open = Callable[..., AbstractContextManager[Display]]
@@ -73,7 +75,7 @@ def arm(display: Display, **limits: int) -> None:
 def make_ready(display: Display, **limits: int) -> None:
     arm(display, **limits)
     assert display.ask(HOME, *SEARCH) == (DONE, 0)
-    display.run_until(READY)
+    display.run_until(READY, alive=True)
 
 
 def press(display: Display, **limits: int) -> None:
@@ -106,34 +108,40 @@ def test_power_up_leaves_the_motor_off_and_sends_a_state_each_millisecond(board:
 
 def test_the_greeting_names_protocol_firmware_tick_film_reset_and_board(board: Open) -> None:
     with board() as display:
-        assert display.greet()[1:] == (1, 256, TICK_HZ, FULL_SCALE, 1, "ATmega328P")
+        assert display.greet()[1:] == (1, 257, TICK_HZ, FULL_SCALE, 1, "ATmega328P")
 
 
 def test_commands_out_of_order_or_bounds_are_refused_with_the_reason(board: Open) -> None:
+    least, most = -(2**28), 2**28
     wrong = {
-        "lowest": -(2**30) - 1,
-        "highest": 0,
-        "acceleration": 999,
-        "highest_rate": TICK_HZ + 1,
-        "film_least": 13_000,
-        "film_most": FULL_SCALE + 2,
-        "withdrawal": 0,
-        "withdrawal_rate": TICK_HZ + 1,
-        "watchdog_ms": 501,
-        "options": 16,
+        "lowest": (least - 1, 1),
+        "highest": (0, most + 1),
+        "acceleration": (999, 100_000_001),
+        "highest_rate": (9, TICK_HZ + 1),
+        "film_least": (13_000,),
+        "film_most": (FULL_SCALE + 2,),
+        "withdrawal": (0, most + 1),
+        # It may last 2 s at most.
+        "withdrawal_rate": (USUAL.withdrawal // 2 - 1, TICK_HZ + 1),
+        "watchdog_ms": (9, 501),
+        "options": (32,),
     }
     with board() as display:
         assert display.ask(ARM) == (NO_LIMITS, 0)
-        for number, (name, value) in enumerate(wrong.items(), 1):
-            fields = USUAL._replace(**{name: value})
-            assert display.ask(LIMITS, *fields) == (OUT_OF_BOUNDS, number)
+        for number, (name, values) in enumerate(wrong.items(), 1):
+            for value in values:
+                fields = USUAL._replace(**{name: value})
+                assert display.ask(LIMITS, *fields) == (OUT_OF_BOUNDS, number)
         assert display.ask(HOME, *SEARCH) == (WRONG_STATE, 0)
         assert display.ask(CLEAR) == display.ask(WITHDRAW) == (WRONG_STATE, 0)
         arm(display)
         assert display.ask(LIMITS, *USUAL) == display.ask(ARM) == (WRONG_STATE, 0)
-        for number, field in enumerate((TICK_HZ + 1, 2**30 + 1, 0, 60_001)):
-            search = [*SEARCH[:number], field, *SEARCH[number + 1 :]]
-            assert display.ask(HOME, *search) == (OUT_OF_BOUNDS, number + 1)
+        # A search is no longer than twice the travel, its second part than half of it.
+        outside = (9, TICK_HZ + 1), (8_001,), (0, 2_001), (0, 60_001)
+        for number, values in enumerate(outside):
+            for value in values:
+                search = [*SEARCH[:number], value, *SEARCH[number + 1 :]]
+                assert display.ask(HOME, *search) == (OUT_OF_BOUNDS, number + 1)
         assert display.ask(STATE) == (UNKNOWN, 0)
         # No search has shown the direction yet: the board does not move by itself.
         display.tell("film 5")
@@ -151,10 +159,30 @@ def test_home_is_where_the_switch_opens(board: Open) -> None:
         assert state.flags & (HOMED | AT_HOME) == HOMED
         # The switch is debounced for 3 ms, at an eighth of the search's speed.
         assert tip_m - state.position * STEP_M == pytest.approx(-2e-3, abs=4e-6)
-        # Without a switch, home is where it is.
-        display.drive(4_000, 100)
-        assert display.ask(HOME, 0, 0, 1, 1) == (DONE, 0)
+    # Without a switch, home is where it is.
+    with board() as display:
+        arm(display)
+        assert display.ask(HOME, *HERE) == (DONE, 0)
         assert (display.states[-1].mode, display.states[-1].position) == (READY, 0)
+        assert display.report()["tip_um"] == pytest.approx(-1_000, abs=1)
+
+
+def test_the_limits_count_from_the_first_home_until_the_motor_is_off(board: Open) -> None:
+    with board() as display:
+        make_ready(display, film_least=0, film_most=FULL_SCALE + 1)
+        for _ in range(4):
+            for search in (HERE, SEARCH):
+                assert display.ask(HOME, *search) == (WRONG_STATE, 0)
+            display.drive(20_000, 400)
+            assert display.states[-1].position == USUAL.highest
+        # Nor does the tip walk by homes of one switching-on after the other.
+        for _ in range(3):
+            display.ask(DISARM)
+            display.run_until(DISARMED)
+            arm(display, film_least=0, film_most=FULL_SCALE + 1)
+            display.ask(HOME, *HERE)
+            display.drive(20_000, 400)
+        assert display.report()["tip_um"] == pytest.approx(500, abs=10)
 
 
 @pytest.mark.parametrize("rate_hz", [100.5, 3_217.0, -9_999.0, 31_990.0])
@@ -172,7 +200,7 @@ def test_the_highest_rate_loses_no_step_where_the_acceleration_is_the_motors(boa
     def lost_steps(acceleration: int) -> int:
         with board("finger_n_per_m=0.001") as display:
             arm(display, lowest=-(10**6), highest=10**6, acceleration=acceleration)
-            display.ask(HOME, 0, 0, 1, 1)
+            display.ask(HOME, *HERE)
             for number in range(400):
                 rate = (TICK_HZ, -TICK_HZ, TICK_HZ, 0)[number // 100]
                 display.send(VELOCITY, round(rate * PER_STEP_RATE), 20)
@@ -219,7 +247,8 @@ def test_a_velocity_ends_with_its_validity_and_silence_withdraws(board: Open) ->
         assert 45 <= withdrawing.counter - silent[0].counter <= 52
         assert left_the_finger(display, within_ms=100)
         state = display.run_until(WITHDRAWN)
-        assert silent[0].position - state.position == pytest.approx(USUAL.withdrawal, abs=20)
+        # Its distance from there would be shorter.
+        assert state.position == 0
         # It stays there whatever the host sends, until `clear`.
         display.drive(5_000, 50)
         assert display.states[-1].position == state.position
@@ -272,20 +301,14 @@ def test_a_fault_of_the_carrier_and_the_hosts_command_withdraw(board: Open) -> N
         display.tell("fault 0")
         display.drive(0, 6)
         assert (display.states[-1].mode, display.states[-1].cause) == (WITHDRAWING, FAULT_PIN)
-        display.ask(DISARM)
-        display.tell("fault 1")
-        # Never homed, it withdraws from where it is.
-        arm(display)
-        assert display.ask(WITHDRAW) == (DONE, 0)
-        began = display.states[-1].position
-        state = display.run_until(WITHDRAWN)
-        assert state.cause == HOST
-        assert began - state.position == pytest.approx(USUAL.withdrawal, abs=100)
-        # With a home, it ends at the soft limit.
+        display.run_until(WITHDRAWN)
         assert display.ask(CLEAR) == (DONE, 0)
-        arm(display, lowest=-200)
-        assert display.ask(HOME, 0, 0, 1, 1) == display.ask(WITHDRAW) == (DONE, 0)
-        assert display.run_until(WITHDRAWN).position >= -200
+        display.tell("fault 1")
+        # Not homed, it knows no way off the finger.
+        arm(display)
+        assert display.ask(WITHDRAW) == (WRONG_STATE, 0)
+        assert display.ask(HOME, *HERE) == display.ask(WITHDRAW) == (DONE, 0)
+        assert display.run_until(WITHDRAWN).cause == HOST
 
 
 def test_garbage_is_counted_and_harmless(board: Open) -> None:
@@ -345,6 +368,24 @@ def test_a_reset_of_a_pressing_board_withdraws_without_a_host(board: Open) -> No
         assert (state.mode, state.cause, state.position) == (DISARMED, 0, 0)
 
 
+@pytest.mark.parametrize("stuck", [False, True])
+def test_a_reset_at_any_time_of_a_withdrawal_continues_it(board: Open, stuck: bool) -> None:
+    with board() as display:
+        press(display)
+        if stuck:
+            # One that claims home where the position cannot be home ends nothing.
+            display.tell("switch 1")
+        for _ in range(4):
+            display.tell("reset")
+            display.run(8)
+        assert display.states[-1].mode == WITHDRAWING
+        state = display.run_until(WITHDRAWN)
+        report = display.report()
+        assert (state.cause, report["force_mn"], report["motor_on"]) == (RESET, 0, 1)
+        # Home by the position that was kept; the motor turns to a full step when it is switched on.
+        assert -2_300 < report["tip_um"] < -1_900
+
+
 def test_an_unplugged_cable_withdraws(board: Open) -> None:
     with board() as display:
         press(display)
@@ -374,34 +415,166 @@ def test_a_program_that_hangs_is_reset_by_the_processors_watchdog(
 
 
 def test_a_home_switch_that_is_stuck_fails_the_search_or_withdraws(board: Open) -> None:
-    for level, cause, most_steps in ((0, NO_HOME, 6_000), (1, STUCK, 500)):
+    # The second part of a search is towards the finger, and is undone.
+    for level, cause, moved_steps in ((0, NO_HOME, -6_000), (1, STUCK, 0)):
         with board() as display:
             arm(display)
             display.tell(f"switch {level}")
             display.run(5)
             began_um = display.report()["tip_um"]
             display.ask(HOME, *SEARCH)
-            state, report = display.run_until(FAULT), display.report()
+            state, report = display.run_until(FAULT, alive=True), display.report()
             assert (state.cause, state.flags & HOMED, report["motor_on"]) == (cause, 0, 0)
-            assert abs(report["tip_um"] - began_um) <= (most_steps + 20) * STEP_M * 1e6
+            moved_um = report["tip_um"] - began_um
+            assert moved_um == pytest.approx(moved_steps * STEP_M * 1e6, abs=20)
     with board() as display:
         arm(display)
         display.ask(HOME, 100, 6_000, 500, 200)
-        assert display.run_until(FAULT).cause == TIMEOUT
+        assert display.run_until(FAULT, alive=True).cause == TIMEOUT
     with board() as display:
         press(display)
         display.tell("switch 1")
         display.drive(0, 10)
         assert (display.states[-1].mode, display.states[-1].cause) == (WITHDRAWING, SWITCH)
         assert left_the_finger(display, within_ms=100)
+        # The switch does not end it before home.
+        assert display.run_until(WITHDRAWN).position == 0
 
 
-def test_a_search_that_presses_returns_to_where_it_began(board: Open) -> None:
+def test_silence_withdraws_in_ready_too(board: Open) -> None:
+    with board("start_mm=0.25") as display:
+        arm(display)
+        assert display.ask(HOME, *HERE) == (DONE, 0)
+        assert display.run(40).mode == READY
+        assert display.report()["force_mn"] > 200
+        state = display.run_until(WITHDRAWN, 400)
+        # From where home was, by its distance.
+        assert (state.cause, state.position) == (SILENCE, -USUAL.withdrawal)
+        assert display.report()["force_mn"] == 0
+
+
+def test_an_armed_board_without_a_host_switches_its_motor_off(board: Open) -> None:
     with board() as display:
-        arm(display, options=1, film_most=9_000)
+        arm(display)
+        assert display.run(900).mode == ARMED
+        state = display.run(200)
+        assert (state.mode, state.cause, state.flags & ON) == (FAULT, SILENCE, 0)
+
+
+def test_a_disarmed_board_takes_the_tip_home_before(board: Open) -> None:
+    with board() as display:
+        press(display)
+        assert display.ask(DISARM) == (DONE, 0)
+        assert display.states[-1].mode == WITHDRAWING
+        assert display.ask(LIMITS, *USUAL) == (WRONG_STATE, 0)
+        state, report = display.run_until(DISARMED), display.report()
+        assert (state.position, report["force_mn"], report["motor_on"]) == (0, 0, 0)
+    with board() as display:
+        # After a trip it goes on as far as without.
+        press(display)
+        display.tell("film 5")
+        display.run_until(WITHDRAWING)
+        assert display.ask(DISARM) == (DONE, 0)
+        assert display.run_until(DISARMED).position == 0
+        # At home, and while it is not homed, it moves no further.
+        arm(display)
+        assert display.ask(DISARM) == (DONE, 0)
+        assert display.states[-1].mode == DISARMED
+
+
+TRIPS = {
+    "torn film": ("film 0", FILM),
+    "film at full scale": ("film 5", FILM),
+    "bad contact": ("film 1.9", FILM),
+    "fault pin": ("fault 0", FAULT_PIN),
+    "host": (WITHDRAW, HOST),
+    "silence": (None, SILENCE),
+}
+
+
+def trip(display: Display, what: str | Format | None) -> BoardState:
+    """Let something end a search; return the state at the end."""
+    if isinstance(what, Format):
+        display.send(what)
+    elif what is not None:
+        display.tell(what)
+    for _ in range(3_000):
+        state = display.run(1)
+        if state.mode not in (HOMING, WITHDRAWING):
+            return state
+        if what is not None:
+            display.send(VELOCITY, 0, 20)
+    raise AssertionError(f"the search goes on: {state}")
+
+
+@pytest.mark.parametrize(("what", "cause"), TRIPS.values(), ids=TRIPS)
+@pytest.mark.parametrize("began_mm", [0.4, 0.1, -1.0])
+def test_a_search_that_trips_never_leaves_more_force_than_it_found(
+    board: Open, what: str | Format | None, cause: TripCause, began_mm: float
+) -> None:
+    """It begins pressed, as after a loss of the supply, or slightly, or off the finger."""
+    for searched_ms in (3, 60, 130):
+        with board(f"start_mm={began_mm}") as display:
+            arm(display, options=4)
+            display.ask(HOME, *SEARCH)
+            for _ in range(0, searched_ms, 3):
+                display.send(VELOCITY, 0, 20)
+                display.run(3)
+            before = display.report()
+            state, after = trip(display, what), display.report()
+            assert state.cause is cause
+            assert after["force_mn"] <= before["force_mn"]
+            assert after["tip_um"] <= before["tip_um"] + 1
+            # Silence is found 50 ms later.
+            if began_mm == 0.4 and (before["force_mn"] < 200 or what is None):
+                assert (state.mode, after["force_mn"]) == (WITHDRAWN, 0)
+            else:
+                # The board cannot know the direction.
+                assert (state.mode, after["motor_on"]) == (FAULT, 0)
+
+
+@pytest.mark.parametrize("falls", [False, True])
+def test_a_search_that_presses_goes_back_to_where_it_began(board: Open, falls: bool) -> None:
+    film = "film_v_per_n=-0.51" if falls else "film_v_per_n=0.51"
+    with board(film) as display:
+        arm(display, options=17 if falls else 1)
         display.ask(HOME, *SEARCH)
-        state = display.run_until(WITHDRAWN)
-        assert (state.cause, state.position) == (FILM, 0)
+        most_mn = 0.0
+        while (state := display.run(1)).mode in (HOMING, WITHDRAWING):
+            display.send(VELOCITY, 0, 20)
+            most_mn = max(most_mn, display.report()["force_mn"])
+        assert (state.mode, state.cause, state.position) == (FAULT, PRESSED, 0)
+        # A sixteenth of the film's range are 0.47 N here.
+        assert 400 < most_mn < 600
         report = display.report()
         assert (report["force_mn"], report["lost_steps"]) == (0, 0)
         assert report["tip_um"] == pytest.approx(-1_000, abs=5)
+
+
+@pytest.mark.parametrize("what", ["film 0", WITHDRAW, None], ids=["torn film", "host", "silence"])
+def test_a_search_that_begins_to_press_goes_back_whatever_ends_it(
+    board: Open, what: str | Format | None
+) -> None:
+    with board("start_mm=-0.1") as display:
+        arm(display, options=1)
+        display.ask(HOME, *SEARCH)
+        while display.report()["force_mn"] < 250:
+            display.send(VELOCITY, 0, 20)
+            display.run(1)
+        state = trip(display, what)
+        assert (state.mode, state.position, display.report()["force_mn"]) == (FAULT, 0, 0)
+
+
+def test_the_second_part_of_a_search_presses_no_finger(board: Open) -> None:
+    for began_mm in (0.0, 0.3):
+        with board(f"start_mm={began_mm}") as display:
+            display.tell("switch 1")
+            display.run(5)
+            began = display.report()
+            arm(display)
+            display.ask(HOME, *SEARCH._replace(opening=2_000))
+            state = display.run_until(FAULT, alive=True)
+            assert state.cause == PRESSED
+            after = display.report()
+            assert after["force_mn"] <= began["force_mn"] + 1
+            assert not after["motor_on"]

@@ -29,9 +29,9 @@ def test_another_sketch_is_another_library(tmp_path: Path) -> None:
     firmware = tmp_path / "firmware"
     shutil.copytree(sketch.FIRMWARE, firmware)
     ino = firmware / "telepulse_display" / "telepulse_display.ino"
-    before, found, after = ino.read_text("utf-8").partition("FIRMWARE = 1 * 256")
+    before, found, after = ino.read_text("utf-8").partition("FIRMWARE = 1 * 256 + ")
     assert found
-    ino.write_text(f"{before}FIRMWARE = 7 * 256{after}", encoding="utf-8")
+    ino.write_text(f"{before}FIRMWARE = 7 * 256 + {after}", encoding="utf-8")
     board = Sketch(sketch.compiled(firmware, tmp_path))
     board.power_up()
     frame = encode_command(Format.GREET, 1, ())
@@ -39,7 +39,7 @@ def test_another_sketch_is_another_library(tmp_path: Path) -> None:
     board.run(5)
     reports = map(decode_report, board_reader().feed(board.take()))
     (greeting,) = [each for each in reports if isinstance(each, BoardGreeting)]
-    assert greeting.firmware == 7 << 8
+    assert greeting.firmware >> 8 == 7
 
 
 def test_a_sketch_that_does_not_compile_is_a_complaint(tmp_path: Path) -> None:

@@ -47,11 +47,12 @@ APART_US = 200
 Script = list[tuple[int, Format | str, tuple[float, ...]]]
 
 
-def begun(limits: BoardLimits, search: HomeSearch) -> Script:
-    """Return the commands after which a board is soon homed."""
+def begun(limits: BoardLimits, search: HomeSearch, alive_ms: int = 680) -> Script:
+    """Return the commands that home a board, which is shown for some time that its host lives."""
     return [
         (6, Format.GREET, ()), (8, Format.ARM, ()), (9, Format.LIMITS, tuple(limits)),
         (11, Format.ARM, ()), (13, Format.HOME, tuple(search)),
+        *((at_ms, Format.VELOCITY, (0, 20)) for at_ms in range(15, alive_ms, 20)),
     ]  # fmt: skip
 
 
@@ -73,7 +74,7 @@ SCRIPTS: dict[str, Script] = {
         (1_222, Format.HOME, SEARCH),
     ],
     "fault pin, slow": [
-        *begun(SLOW, SEARCH._replace(rate=3_999)), *driven(3, 1_600, 2_000),
+        *begun(SLOW, SEARCH._replace(rate=3_999), 1_580), *driven(3, 1_600, 2_000),
         (2_000, "fault", (1,)), (2_300, Format.VELOCITY, (256_000, 20)),
     ],
     "switch": [
@@ -82,12 +83,12 @@ SCRIPTS: dict[str, Script] = {
         (850, "stuck_switch", (1,)),
     ],
     "withdrawn while homing": [
-        *begun(SLOW, SEARCH), (100, Format.WITHDRAW, ()), (110, Format.DISARM, ()),
+        *begun(SLOW, SEARCH, 99), (100, Format.WITHDRAW, ()), (110, Format.DISARM, ()),
         (115, Format.LIMITS, SLOW._replace(lowest=7, highest=7)), (120, Format.ARM, ()),
         (130, Format.WITHDRAW, ()), (400, Format.DISARM, ()),
     ],
-    "no home": [*begun(USUAL, SEARCH._replace(distance=500))],
-    "home here": [*begun(USUAL, HomeSearch(0, 0, 1, 1)), *driven(4, 20, 600)],
+    "no home": [*begun(USUAL, SEARCH._replace(distance=500), 200)],
+    "home here": [*begun(USUAL, HomeSearch(0, 0, 1, 1), 18), *driven(4, 20, 600)],
 }  # fmt: skip
 
 

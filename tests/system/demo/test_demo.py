@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from display_node.verdict import MOST_LINES, NOT_VALID_STATUS
+from protocol.faults import FaultKind, faults_of
 from tests.support.nodes import RADIAL, assert_accounted, process, read_json, run, run_python
 from tests.support.signal_files import pulse_and_ecg, wfdb_record
 
@@ -89,13 +90,14 @@ def test_a_demo_whose_display_latches_a_fault_names_it_and_ends_with_status_3(
     noise = '\n[display.film]\nnoise = "5 mN"\n'
     scene.write_text(text + noise, encoding="utf-8")
     result = run(MODULE, "demo", str(scene), "--seconds", "6", "--json", str(out), "--no-page")
-    fault, advice = "felt force above 0.1 N", "check the film (telepulse calibrate)"
+    fault, advice = "film: felt force above 0.1 N", "check the film (telepulse calibrate)"
     assert result.returncode == 3
     assert result.stderr.startswith(f"telepulse: ended at the fault '{fault}': {advice}")
     assert result.stderr.count("\n") == 1
     # The line of each second names it, with what to do.
     assert re.search(rf"^alert: fault: {fault}: {re.escape(advice)}", result.stdout, re.MULTILINE)
-    assert read_json(out)["faults"] == [fault]
+    (found,) = faults_of(read_json(out))
+    assert (found.kind, str(found)) == (FaultKind.OVERFORCE, fault)
     assert_accounted(read_json(out)["samples"])
 
 

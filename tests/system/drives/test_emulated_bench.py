@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 
 from protocol.cli_options import FAULT_STATUS
+from protocol.faults import FaultKind, faults_of
+from protocol.finger import describe_finger, finger_in
 from tests.support.can_messages import udp_multicast_reason
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace, playing
 from tests.support.unread import unread
@@ -95,12 +97,12 @@ def test_a_display_that_was_stopped_withdraws_the_tip(kind: str, tmp_path: Path)
         display.send_signal(signal.SIGSTOP)
         time.sleep(2e-3 * PATIENCE_MS)
         display.send_signal(signal.SIGCONT)
-        until(lambda: bench.await_state("fault")["finger"] == "withdrawn", WITHDRAWN_WITHIN_S)
+        until(lambda: finger_in(bench.await_state("fault")).withdrawn, WITHDRAWN_WITHIN_S)
         withdrawn_ns.append(time.perf_counter_ns())
         summary = bench.end()
         assert summary["samples"]["played"] > 0
-        assert "no command for" in summary["faults"][0]
-        assert summary["finger"] == "withdrawn"
+        assert faults_of(summary)[0].kind is FaultKind.NO_COMMAND
+        assert finger_in(summary).withdrawn
 
     motor = on_a_bench(tmp_path, kind, happens)
     assert_at_rest(motor)
@@ -143,7 +145,7 @@ def test_a_bench_with_a_fault_rests_and_reports_it(
         bench.await_rest(withdrawn=kind == "stepdir")
         summary = bench.end()
         assert summary["faults"]
-        assert finger in summary["finger"]
+        assert finger in describe_finger(finger_in(summary))
         assert bench.processes["display"].returncode == FAULT_STATUS
 
     options = ("--fault", word, "--fault-after", TROUBLE_AFTER_S)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from protocol.cli_options import FAULT_STATUS
+from protocol.faults import FaultKind, faults_of
 from tests.support.emulated_bench import EmulatedBench, MotorTrace
 from tests.support.nodes import read_json
 from tests.support.waiting import until
@@ -85,16 +86,16 @@ def test_the_hold_down_follows_the_finger_and_the_probe_leaves_at_the_end(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("name", "fault", "leaves"),
-    [("film-silent", "load cell: silent", True), ("unplugged", "drive: unplugged", False)],
+    ("name", "kind", "leaves"),
+    [("film-silent", FaultKind.SILENT, True), ("unplugged", FaultKind.UNPLUGGED, False)],
 )
 def test_a_fault_takes_the_probe_off_the_wrist_or_leaves_it_at_rest(
-    name: str, fault: str, leaves: bool, tmp_path: Path
+    name: str, kind: FaultKind, leaves: bool, tmp_path: Path
 ) -> None:
     with pressed_wrist(tmp_path, 6, "--fault", name, "--fault-after", "1") as bench:
         wrist_status = bench.processes["sensing"].wait(ENDS_WITHIN_S)
     found = read_json(tmp_path / "sensing.json")
-    assert fault in " ".join(found["faults"])
+    assert kind in [fault.kind for fault in faults_of(found)]
     assert found["press"]["probe"] == "fault"
     assert wrist_status == FAULT_STATUS
     motor = bench.motor()

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from protocol.faults import faults_of
+from protocol.finger import finger_in
 from tests.support.emulated_bench import BenchFailedError, EmulatedBench, MotorTrace
 from tests.support.waiting import until
 from tests.system.drives.attempts import PATIENCE_MS, on_bench
@@ -93,7 +95,7 @@ def test_three_drives_press_within_a_tick_of_each_other_withdraw_together_and_fi
         for figures in summary["contactors"].values():
             assert figures["beats"]["count"] > 3
             assert figures["force_rmse_n"]["aligned"] < 0.1
-            assert figures["finger"] == "withdrawn"
+            assert finger_in(figures).withdrawn
         assert summary["announce"]["r_waves"] > 3
         require_apart(bench, CONTACTORS, APART_S / 2)
 
@@ -110,11 +112,11 @@ def test_a_fault_of_one_drive_withdraws_both_tips(tmp_path: Path) -> None:
         bench.processes["drive-chi"].kill()
         until(lambda: bench.await_state("fault")["faults"] != [], STARTS_WITHIN_S)
         summary = bench.await_state("fault")
-        assert summary["faults"][0].startswith("chi: ")
+        assert faults_of(summary)[0].contactor == "chi"
 
         def withdrawn() -> bool:
             contactors = bench.await_state("fault")["contactors"]
-            return all(contactors[name]["finger"] == "withdrawn" for name in ("cun", "guan"))
+            return all(finger_in(contactors[name]).withdrawn for name in ("cun", "guan"))
 
         until(withdrawn)
 

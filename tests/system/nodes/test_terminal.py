@@ -8,6 +8,7 @@ import zmq
 from rich.console import Console
 
 from display_node.telemetry.terminal import watch
+from protocol.finger import FingerState
 from protocol.sockets import Context
 from protocol.summary.fields import Summary
 from protocol.ticks import TickState
@@ -17,7 +18,7 @@ from tests.support.nodes import free_address
 from tests.support.tick_blocks import packed_trace
 
 SECOND_NS = 1_000_000_000
-PLAYING = pack_status("playing", "my pulse", Summary(finger="pressed with 356 mN"), final=False)
+PLAYING = pack_status("playing", "my pulse", Summary(finger=FingerState(0.356)), final=False)
 
 
 def message_at(now_ns: int) -> bytes:

@@ -10,6 +10,7 @@ import pytest
 import zmq
 
 from display_node.reception.connection import Connection
+from display_node.reception.reachability import NOBODY
 from display_node.telemetry.alerts import alerts
 from display_node.telemetry.terminal_view import compose
 from display_node.verdict import verdict
@@ -69,7 +70,7 @@ def poll_until(connection: Connection, done: Callable[[], bool], *served: Ports)
 
 
 def reason(connection: Connection) -> str:
-    return connection.waiting_for(time.perf_counter_ns())
+    return "; ".join(map(str, connection.waiting_for(time.perf_counter_ns())))
 
 
 def by_name(address: str) -> str:
@@ -128,13 +129,17 @@ def test_of_two_addresses_the_one_that_refuses_is_shown_first_and_alone_in_a_lin
         poll_until(
             connection, lambda: all(each in reason(connection) for each in (refusal, nobody)), node
         )
-    summary = Summary(refused=connection.refused, waiting_for=reason(connection))
+    waiting_for = connection.waiting_for(time.perf_counter_ns())
+    summary = Summary(refused=connection.refused, waiting_for=waiting_for)
     found = alerts("waiting", summary.to_dict())
     assert [alert.name for alert in found] == ["not connected"]
     assert found[0].text.startswith(f"{refusal}{REMEDY}; {nobody}")
     assert compose("waiting", [], found) == f"waiting: not connected: {refusal}"
-    # The remedy for the other address is not that for this one.
-    assert "start the sensing node" not in verdict(summary).lines[0]
+    # Each address is followed by its own remedy.
+    (first, second) = map(str, waiting_for)
+    assert first == f"{refusal}{REMEDY}"
+    assert second.endswith(f"; {NOBODY.further}")
+    assert f"; {first}; {second}." in verdict(summary).lines[0]
     connection.close()
 
 
@@ -207,6 +212,5 @@ def test_a_display_that_was_welcomed_names_the_refusal_and_not_the_first_samples
             status = await_status(reader, lambda status: bool(status.summary["refused"]))
             status = await_status(reader, lambda status: status.stream == "test pulse")
     assert status.state == "waiting"
-    assert status.summary["waiting_for"] == (
-        f"{address} does not allow the key of finger; there: telepulse keys allow finger.pub"
-    )
+    (why,) = status.summary["waiting_for"]
+    assert why["text"] == f"{address} does not allow the key of finger"

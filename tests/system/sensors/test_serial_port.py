@@ -12,6 +12,7 @@ import pytest
 
 from protocol.config.scene import validate
 from protocol.errors import SourceError
+from protocol.faults import notes_of
 from pulse_sensors.sensor import open_sensor
 from pulse_sensors.serial_port import SerialPort, SerialScene
 from telepulse.emulators import PtyPort
@@ -84,7 +85,7 @@ def test_a_sensing_node_reports_the_wrong_unit_once(tmp_path: Path) -> None:
     text = "beyond 20 N, which no pulse reaches: check unit and scale in"
     assert " ".join(result.stderr.split()).count(text) == 1
     found = read_json(summary)
-    assert f"{found['samples']['sent']} samples beyond 20 N" in "; ".join(found["faults"])
+    assert f"{found['samples']['sent']} samples beyond 20 N" in "; ".join(map(str, notes_of(found)))
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from protocol.pieces import complete
 from protocol.summary.fields import contactors_of
 from protocol.wire.description import Channel
 from protocol.wire.messages import Bye, Frame, encode_control, encode_frame
+from tests.support.given_faults import FILM_LOST
 from tests.support.refusals import refusal_of
 from tests.support.sender import AHEAD_NS, MS, Sender, display_scene
 from tests.support.streams import description
@@ -148,6 +149,31 @@ def test_a_fault_of_one_contactor_brings_all_to_rest(monkeypatch: pytest.MonkeyP
     assert under_test.state == "fault"
     assert all(state.target_n == 0.0 for state in under_test.states)
     assert max(state.felt_n for state in under_test.states) < 5e-3
+
+
+def test_after_a_fault_nothing_counts_as_felt() -> None:
+    under_test, sender = Display(scene(predictor="hold"), "test"), Sender(stream=STREAM)
+    play(under_test, sender, 0, 2000)
+    under_test.fade.fault(FILM_LOST)
+    play(under_test, sender, 2000, 2200)
+    before = under_test.summary()
+    # From here on the samples come late, so that a prediction would have to stand in for them.
+    play(under_test, sender, 2200, 5000, late_ms=lambda _: 40)
+    under_test.finish_scores()
+    after = under_test.summary()
+    assert before.availability.seconds is not None
+    assert after.availability.seconds is not None
+    played_s = [
+        (each.availability.played or 0.0) * (each.availability.seconds or 0.0)
+        for each in (before, after)
+    ]
+    assert played_s == pytest.approx([played_s[0]] * 2)
+    assert after.playout_delay_ms == before.playout_delay_ms
+    for name in NAMES:
+        old, new = (each.contactors[name].compensation for each in (before, after))
+        assert (new.corrections, new.noticed_5s) == (old.corrections, old.noticed_5s)
+    assert after.availability.felt is not None
+    assert after.availability.faulted == pytest.approx(0.6, abs=0.02)
 
 
 def second(value_n: Callable[[int], float]) -> Channels:

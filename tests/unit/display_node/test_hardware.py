@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from display_node.control.controller import StepperController
 from protocol.errors import SourceError
+from protocol.faults import Fault
+from protocol.faults import FaultKind as Kind
 from pulse_drives.withdrawal import TOUCH_N
 from tests.support.fault_injection import FaultKind, parse_fault
 from tests.support.sender import MS, Sender, display_scene
@@ -282,4 +284,39 @@ def test_without_a_sensor_the_drives_position_gives_the_force() -> None:
         read_n = feedback.read(now_ns)
         assert read_n == pytest.approx(bench.motor.force_n, abs=5e-3)
         finger = bench.hardware.finger(now_ns)
-        assert (finger.force_n, finger.measured_by) == (read_n, "by the drive's position")
+        assert finger.measured_by == "by the drive's position"
+        # A status reads nothing anew: it has the newest report, and the loop one of a fixed age.
+        assert finger.force_n == pytest.approx(read_n, abs=5e-3)
+        assert feedback.samples == samples
+
+
+def test_an_end_that_may_still_press_is_a_fault(pulse_n: Pulse) -> None:
+    with playing(pulse_n, 1_200) as bench:
+        stuck = parse_fault(FaultKind.NO_RETRACTION, None)
+        bench.motor.injector.begin(stuck, bench.world.now_ns)
+        faults: list[Fault | None] = []
+        bench.call(lambda: faults.append(bench.hardware.withdraw()))
+        assert bench.motor.force_n > 0.1
+    (fault,) = faults
+    assert fault is not None
+    assert fault.kind is Kind.STILL_PRESSED
+    assert "may still press with" in fault.cause
+    assert "switch the drive's power off" in fault.remedy
+
+
+def test_an_end_that_leaves_the_finger_is_none(pulse_n: Pulse) -> None:
+    with playing(pulse_n, 1_200) as bench:
+        faults: list[Fault | None] = []
+        bench.call(lambda: faults.append(bench.hardware.withdraw()))
+        assert bench.motor.force_n == 0.0
+    assert faults == [None]
+
+
+def test_without_a_film_a_silent_drive_is_named_as_such() -> None:
+    """The positions stand in for a film, whose time-out of 40 ms must not name the film."""
+    with playing(lambda ms: 0.5, with_film=False) as bench:
+        lost = parse_fault(FaultKind.LOST, "1")
+        bench.motor.injector.begin(lost, bench.world.now_ns)
+        bench.run(200)
+    (first, *_) = bench.faults
+    assert first.startswith("drive: no answer")

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.errors import SceneError
 from pulse_drives.axis import LARGEST, Axis, Units, build_axis
 from telepulse.emulators.motor import TICK_NS, EmulatedMotor
 from tests.support.drive_benches import FORCE_LIMIT_N, LAYER, stepper, tmcl_scene
@@ -102,3 +103,24 @@ def test_depths_count_from_a_finger_that_has_followed_the_tip() -> None:
     assert axis.clear_of(-3e-3) == axis.clear_m - 3e-3
     # A withdrawal keeps some distance from home.
     assert axis.lowest_m < axis.clear_of(-1.0) < axis.clear_m
+
+
+@pytest.mark.parametrize(
+    ("motor", "homing", "refused"),
+    [
+        ({"max_speed": "4 mm/s"}, "5 mm/s", r"homing_speed is 5 mm/s, and .* max_speed 4 mm/s"),
+        ({"max_speed": "0.3 mm/s"}, "0.3 mm/s", r"off the finger within 10 s from 2\.55 mm"),
+        ({"max_acceleration": "0.1 m/s^2"}, "5 mm/s", r"off the finger within 8\.\d s"),
+        ({"max_speed": "4 mm/s"}, "4 mm/s", ""),
+    ],
+)
+def test_an_axis_that_is_too_slow_is_refused(
+    motor: dict[str, str], homing: str, refused: str
+) -> None:
+    scene, actuator = tmcl_scene(port="x", homing_speed=homing), stepper(**motor)
+    deepest_m = actuator.deepest_m(LAYER, FORCE_LIMIT_N)
+    if not refused:
+        assert build_axis(scene, actuator, deepest_m).off_s <= 1.0
+        return
+    with pytest.raises(SceneError, match=refused):
+        build_axis(scene, actuator, deepest_m)

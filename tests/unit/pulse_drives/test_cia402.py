@@ -12,6 +12,7 @@ from protocol.errors import DriveError
 from pulse_drives.cia402 import node as cia402_node
 from pulse_drives.cia402.node import (
     EMERGENCY,
+    HEARTBEAT,
     SPEED_TPDO,
     STATE_TPDO,
     TPDO1,
@@ -204,3 +205,37 @@ def test_a_closed_bus_is_a_fault_and_is_counted(bench: Bench) -> None:
     bench.drive.command(RATE_HZ * bench.actuator.step_m)
     bench.drive.close()
     assert bench.drive.counts == {"not disabled: unplugged": 1, "not closed": 1}
+
+
+@pytest.mark.parametrize("announced", [True, False], ids=["command of a master", "by itself"])
+def test_a_drive_that_leaves_its_nmt_state_is_named_and_started_again(
+    bench: Bench, announced: bool
+) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    began_ns = bench.clock.now_ns
+    if announced:
+        send_nmt(bench, 128)
+    else:
+        bench.emulator._node.nmt.state = "PRE-OPERATIONAL"
+        bench.emulator._on_nmt(0, bytearray(), 0.0)
+    bench.keep(RATE_HZ, lambda: bench.fault)
+    assert bench.fault == "left its state: it is pre-operational (NMT)"
+    # Before any time-out.
+    assert bench.clock.now_ns - began_ns < 50_000_000
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
+    assert bench.motor.force_n == 0.0
+
+
+def test_heartbeats_that_an_adapter_has_altered_end_nothing(bench: Bench) -> None:
+    bench.start(RATE_HZ)
+    send(bench, HEARTBEAT, b"\x7f", b"\x05", b"\x04", b"\x05", b"\x33", b"\x33", b"", b"\x05")
+    bench.keep(0.0, lambda: bench.drive.counts["implausible"] == 2)
+    assert bench.drive.counts["malformed"] == 1
+    assert bench.fault == ""
+
+
+def send_nmt(bench: Bench, command: int) -> None:
+    """Send an NMT command to all nodes, as another master does."""
+    frame = can.Message(arbitration_id=0, data=bytes([command, 0]), is_extended_id=False)
+    for end in (bench.line, bench.line.far):
+        end.notifier.receive(frame)

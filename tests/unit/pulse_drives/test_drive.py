@@ -8,8 +8,10 @@ import pytest
 from protocol.errors import DriveError
 from pulse_drives.axis import build_axis
 from pulse_drives.drive import OPENED_M, SEARCH_MARGIN_M, TouchGuard, bound_search
+from pulse_drives.stepdir.drive import StepdirDrive
 from pulse_drives.supervisor import Supervisor
 from pulse_drives.withdrawal import WithdrawalOutcome
+from pulse_sensors.drive_film import DriveFilmScene
 from tests.support.drive_benches import (
     FORCE_LIMIT_N,
     LAYER,
@@ -22,6 +24,7 @@ from tests.support.fault_injection import FaultKind, InjectedFault
 
 KINDS = ("tmcl", "tmcl-can", "cia402", "stepdir")
 RATE_HZ = 400.0
+FILM = DriveFilmScene.model_validate({"kind": "drive", "zero": 8000, "newtons_per_count": 5e-4})
 
 
 @pytest.fixture(params=KINDS)
@@ -153,7 +156,10 @@ def test_the_film_confirms_a_withdrawal(bench: Bench) -> None:
 @pytest.mark.parametrize("film", [True, False], ids=["film", "no film"])
 def test_a_reversed_motor_is_refused_before_it_presses(kind: str, film: bool) -> None:
     """The motor's wires are swapped, and the drive's count does not show it."""
-    with virtual_bench(kind, touch="2 mm") as bench:
+    with virtual_bench(kind, touch="2 mm", film=FILM) as bench:
+        if film and isinstance(bench.drive, StepdirDrive):
+            # A board goes back by what its own film shows.
+            bench.drive.film_port(*FILM.counts_within(2.7))
         bench.motor.injector.begin(InjectedFault(FaultKind.REVERSED), bench.clock.now_ns)
         forces_n = [0.0]
 
@@ -168,7 +174,24 @@ def test_a_reversed_motor_is_refused_before_it_presses(kind: str, film: bool) ->
         bench.wait(lambda: bench.at_rest)
         if film:
             assert max(forces_n) < 0.4
-            assert bench.motor.force_n < 0.1
+            # A board goes back where its film has shown a 64th of its range some ms before.
+            assert bench.motor.force_n < 0.15
+
+
+def test_a_search_for_home_does_not_outlast_its_host(kind: str) -> None:
+    """A motor whose wires are swapped seeks home into the finger, and only the host bounds that."""
+    with virtual_bench(kind, touch="2 mm", homing_speed="5 mm/s") as bench:
+        bench.motor.injector.begin(InjectedFault(FaultKind.REVERSED), bench.clock.now_ns)
+        start = bench.clock.thread(bench.drive.start)
+        bench.wait(lambda: bench.motor.homing and bench.motor.rate_hz)
+        bench.clock.sleep(0.05)
+        bench.clock.stall(list(bench.clock.threads), bench.clock.now_ns + 10**12)
+        bench.clock.sleep(0.1)
+        assert bench.at_rest
+        began_m = bench.motor.tip_m
+        bench.clock.sleep(2.0)
+        assert bench.motor.tip_m == began_m
+        assert start.is_alive()
 
 
 def test_a_home_switch_that_stays_closed_is_the_wrong_way(kind: str) -> None:

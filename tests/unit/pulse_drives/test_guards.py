@@ -12,9 +12,11 @@ from typing import Any
 from unittest.mock import patch
 
 import pytest
+from telepulse_example.stage import STAGES, Stage, StageScene
 
 from protocol.errors import DriveError
 from protocol.faults import FaultKind
+from pulse_drives import Drive, build_drive
 from pulse_drives.cia402.node import Cia402Node
 from pulse_drives.stepdir.board import DisplayBoard
 from pulse_drives.stepdir.line import BoardLine
@@ -22,7 +24,8 @@ from pulse_drives.supervisor import GIVEN_UP
 from pulse_drives.tmcl.line import TmclLine
 from pulse_drives.tmcl.module import TmclModule
 from pulse_drives.withdrawal import WithdrawalOutcome
-from tests.support.drive_benches import Bench, virtual_bench
+from tests.support.drive_benches import Bench, stepper, virtual_bench
+from tests.support.virtual_time import VirtualTime
 
 RATE_HZ = 400.0
 MS = 1_000_000
@@ -132,9 +135,13 @@ def check_rest(bench: Bench, sabotage: Sabotage, obeys: bool) -> None:
 
 
 def start_error(bench: Bench) -> DriveError | None:
+    return start_error_of(bench.drive)
+
+
+def start_error_of(drive: Drive) -> DriveError | None:
     """Start a drive; return its error, None where it starts."""
     try:
-        bench.drive.start()
+        drive.start()
     except DriveError as error:
         return error
     return None
@@ -230,3 +237,38 @@ def test_every_method_is_reached_at_some_moment() -> None:
                     assert it.hit
                 hit = hit or it.hit
         assert hit or name in ("end_search", "start_again"), (kind, name)
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("name", ["configure", "home", "arm_watchdog", "run", "close"])
+def test_the_drive_of_the_example_plug_in_is_guarded_as_well(name: str, error: str) -> None:
+    world = VirtualTime()
+    # It is emulated by a clock, and so in virtual time.
+    with world.substituted(("protocol.host.guard", "pulse_drives", "telepulse_example")):
+        scene = StageScene.model_validate({"kind": "stage", "name": f"{name} {error}"})
+        drive = build_drive(scene, stepper(), DEPTH_M * 20)
+        stage = STAGES[scene.name]
+
+        def press(ms: int) -> None:
+            for _ in range(ms):
+                drive.command(5e-3)
+                world.sleep(0.001)
+
+        for moment in ("start", "running", "withdrawal"):
+            with sabotaged(Stage, name, ERRORS[error], 1, False) as sabotage:
+                sabotage.armed = moment == "start"
+                if start_error_of(drive):
+                    assert sabotage.hit
+                    assert drive.status().fault is not None
+                    assert stage.position_m <= 0
+                    continue
+                press(100)
+                assert stage.position_m > 0 or sabotage.hit
+                if moment == "withdrawal":
+                    drive.withdraw()
+                sabotage.armed = True
+                press(500)
+                assert not sabotage.hit or drive.status().fault is not None
+            press(100)
+            drive.close()
+            assert stage.position_m <= 0 or not sabotage.hit or name == "close"

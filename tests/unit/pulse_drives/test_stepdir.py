@@ -10,7 +10,13 @@ from display_node.hardware import build_display_drive
 from protocol.config.scene import validate
 from protocol.errors import DriveError, SceneError, SourceError
 from pulse_drives.stepdir.drive import StepdirDrive
-from pulse_drives.stepdir.frames import SEQUENCE_TURN, BoardMode, Format
+from pulse_drives.stepdir.frames import (
+    SEQUENCE_TURN,
+    BoardMode,
+    Format,
+    LimitOption,
+    TripCause,
+)
 from pulse_drives.stepdir.line import BoardLine
 from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.binary_frames import FrameEncoder
@@ -25,6 +31,7 @@ from tests.support.drive_benches import (
     stepper,
     virtual_bench,
 )
+from tests.support.fault_injection import FaultKind, InjectedFault
 
 RATE_HZ = 400.0
 FILM = DriveFilmScene.model_validate({"kind": "drive", "zero": 8000, "newtons_per_count": 5e-4})
@@ -47,6 +54,7 @@ def stall(bench: Bench, ms: int) -> None:
 @pytest.mark.parametrize(
     ("protocol", "firmware", "words"),
     [
+        (1, 0x0100, r"firmware 1\.0 has protocol 1, and protocol 1 of firmware 1\.1 .* update it"),
         (0, 0x0100, r"firmware 1\.0 has protocol 0.* update it: arduino-cli .*telepulse_display"),
         (1, 0x0003, r"firmware 0\.3 .* update it: arduino-cli compile --upload .*--port virtual"),
         (2, 0x0200, r"firmware 2\.0 has protocol 2.* update telepulse"),
@@ -93,6 +101,16 @@ def test_a_hard_limit_beyond_the_films_range_is_the_end_of_the_range(bench: Benc
     bench.start()
     limits = bench.emulator.limits
     assert (limits.film_least, limits.film_most) == (0, 16_368)
+
+
+def test_a_film_that_counts_down_is_known_to_the_board(bench: Bench) -> None:
+    assert isinstance(bench.drive, StepdirDrive)
+    film = FILM.model_copy(update={"newtons_per_count": -5e-4})
+    bench.drive.film_port(*film.counts_within(2.7))
+    bench.start()
+    limits = bench.emulator.limits
+    assert (limits.film_least, limits.film_most) == (8000 - 5400, 8000 + 5400)
+    assert limits.options & LimitOption.FILM_FALLS
 
 
 @pytest.mark.parametrize("zero", [81_840, 20_000, -9_000])
@@ -323,6 +341,27 @@ def test_a_film_without_its_board_names_the_port_and_advice() -> None:
 def test_another_kind_of_drive_reads_no_film() -> None:
     with virtual_bench("tmcl") as bench, pytest.raises(SceneError, match="reads no film"):
         bench.drive.film_port(0, 1)
+
+
+def test_a_withdrawal_that_the_host_gives_up_is_done_by_the_board(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.drive.withdraw()
+    # From now on its positions show a motion towards the finger.
+    jump = InjectedFault(FaultKind.POSITION_JUMP, 0.4e-3)
+    bench.motor.injector.begin(jump, bench.clock.now_ns)
+    bench.wait(lambda: bench.emulator.mode is BoardMode.WITHDRAWN)
+    assert bench.motor.force_n == 0.0
+    assert bench.emulator.view.cause == TripCause.HOST
+
+
+def test_a_board_without_positions_is_withdrawn_and_nobody_claims_that_it_is(bench: Bench) -> None:
+    bench.start(RATE_HZ, 0.05e-3)
+    bench.emulator.trouble = "silent"
+    bench.keep(RATE_HZ, lambda: bench.fault)
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.UNCONFIRMED)
+    assert bench.motor.force_n == 0.0
+    bench.emulator.trouble = ""
+    bench.wait(lambda: bench.drive.status().withdrawal is WithdrawalOutcome.WITHDRAWN)
 
 
 @pytest.mark.parametrize("stalled_ms", [10, 30, 45])

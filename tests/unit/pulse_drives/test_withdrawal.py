@@ -2,15 +2,15 @@
 
 import pytest
 
+from protocol.finger import FingerState, WithdrawalOutcome, describe_finger
 from pulse_drives.withdrawal import (
     FAST_M_PER_S,
+    FILM_SILENT_NS,
     MARGIN_M,
+    OVERDUE_NS,
     PATIENCE_NS,
     SLOW_M_PER_S,
-    FingerState,
     Withdrawal,
-    WithdrawalOutcome,
-    describe_finger,
 )
 
 UNDER_WAY, WITHDRAWN, RELIEVED, UNCONFIRMED, WRONG_WAY = WithdrawalOutcome
@@ -19,6 +19,7 @@ UNDER_WAY, WITHDRAWN, RELIEVED, UNCONFIRMED, WRONG_WAY = WithdrawalOutcome
 @pytest.mark.parametrize(
     ("state", "sentence"),
     [
+        (FingerState(), ""),
         (FingerState(0.245), "pressed with 245 mN"),
         (FingerState(0.003), "not pressed"),
         (FingerState(0.245, 0.0, "model"), "pressed with 245 mN (model)"),
@@ -62,8 +63,14 @@ BEGAN_M = 0.6e-3
 class Tip:
     """A tip that obeys the withdrawal, with `gain` m of motion for each m commanded."""
 
-    def __init__(self, trusted: bool = True, gain: float = 1.0, began_m: float = BEGAN_M) -> None:
-        self.withdrawal = Withdrawal(0, began_m, 0.0, CLEAR_M, trusted)
+    def __init__(
+        self,
+        trusted: bool = True,
+        gain: float = 1.0,
+        film_trusted: bool = True,
+        began_m: float = BEGAN_M,
+    ) -> None:
+        self.withdrawal = Withdrawal(0, began_m, 0.0, CLEAR_M, trusted, film_trusted)
         self.gain = gain
         self.position_m = began_m
         self.travel_m = 0.0
@@ -210,3 +217,52 @@ def test_a_film_that_is_read_again_late_does_not_stop_a_tip_that_leaves(
     assert tip.run(5, force=True) is WithdrawalOutcome.UNDER_WAY
     assert tip.position_m > 0.5e-3
     assert tip.run(100, force=True) is WithdrawalOutcome.WITHDRAWN
+
+
+def test_a_film_that_is_at_fault_stops_nothing_that_the_position_confirms() -> None:
+    """Stuck at 1.2 N, it reads 1.9 N while the tip leaves."""
+    tip = Tip(film_trusted=False)
+    for ms in range(1, 200):
+        tip.withdrawal.add_force_reading(1.2 if ms < 60 else 1.9, ms * MS)
+        tip.run(1)
+    assert tip.withdrawal.outcome is WithdrawalOutcome.WITHDRAWN
+    stopped = Tip()
+    for ms in range(1, 200):
+        stopped.withdrawal.add_force_reading(1.2 if ms < 60 else 1.9, ms * MS)
+        stopped.run(1)
+    assert stopped.withdrawal.outcome is WithdrawalOutcome.WRONG_WAY
+    assert stopped.withdrawal.stopped_by_film
+
+
+def test_withdrawn_is_not_claimed_while_a_film_that_can_be_trusted_reads_a_press() -> None:
+    tip = Tip()
+    for ms in range(1, 1_000):
+        tip.withdrawal.add_force_reading(0.3, ms * MS)
+        tip.run(1)
+        assert tip.withdrawal.outcome is not WithdrawalOutcome.WITHDRAWN
+    assert tip.position_m < CLEAR_M
+    assert tip.withdrawal.outcome is WithdrawalOutcome.UNCONFIRMED
+    # A reading of some time ago shows nothing; the position then stands alone.
+    assert tip.run(FILM_SILENT_NS // MS + 50) is WithdrawalOutcome.WITHDRAWN
+
+
+def test_withdrawn_is_not_claimed_by_a_position_that_cannot_be_trusted() -> None:
+    tip = Tip(trusted=False)
+    assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED
+    assert tip.position_m < CLEAR_M
+
+
+def test_one_that_is_handed_over_sends_nothing_and_ends_by_the_boards_positions() -> None:
+    tip = Tip(gain=-1.0)
+    assert tip.run(200) is WithdrawalOutcome.WRONG_WAY
+    tip.withdrawal.hand_over(tip.now_ms * MS)
+    assert tip.withdrawal.speed_m_per_s(tip.now_ms * MS, tip.travel_m) == 0
+    for place_m in (0.3e-3, 0.0, -0.3e-3, -0.6e-3):
+        tip.now_ms += 50
+        tip.withdrawal.add_position(place_m, tip.now_ms * MS)
+    assert tip.withdrawal.outcome is WithdrawalOutcome.WITHDRAWN
+    # One that takes too long is unconfirmed.
+    tip = Tip(gain=-1.0)
+    tip.run(200)
+    tip.withdrawal.hand_over(tip.now_ms * MS)
+    assert tip.run(OVERDUE_NS // MS + 20) is WithdrawalOutcome.UNCONFIRMED

@@ -8,6 +8,7 @@ import pytest
 
 from display_node.scoring.availability import InterruptionCounter
 from protocol.faults import Fault, FaultKind, Note, Part
+from protocol.finger import FingerState
 from protocol.summary.fields import Availability, Loop, SampleCounts, Summary
 from protocol.wire.telemetry import Trace
 from soak.claims import StatusClaim, no_figures
@@ -67,7 +68,7 @@ def summary(**changes: Any) -> dict[str, Any]:
         samples=SampleCounts(100, 90, 7, 2, 1, 0),
         availability=Availability(10.0, 0.9, 0, 0.1, 0, 0, 0, 0, 0.9, 0.9),
         loop=Loop(10_000, 0),
-        finger="pressed with 245 mN (model, no drive)",
+        finger=FingerState(0.245, measured_by="model, no drive"),
     )
     return replace(whole, **changes).to_dict()
 
@@ -94,9 +95,9 @@ def verdicts(*claims: StatusClaim) -> dict[str, bool | None]:
         (claim("stale", full=True), "state"),
         (claim("stale", full=False, faults=[OVERRUN]), "state"),
         (claim("fault", full=False), "state"),
-        (claim(finger="pressed with 247 mN (model, no drive)"), "finger"),
-        (claim(finger="not pressed (model, no drive)"), "finger"),
-        (claim(finger=None), "finger"),
+        (claim(finger=FingerState(0.247)), "finger"),
+        (claim(finger=FingerState(0.0)), "finger"),
+        (claim(finger=FingerState()), "finger"),
         (claim(samples=SampleCounts(100, 90, 7, 2, 2, 0)), "figures"),
         (
             replace(claim(), no_figures=tuple(no_figures({"a": [1, {"b": float("nan")}]}))),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from protocol.faults import Fault, FaultKind, Part
+from protocol.finger import FingerState, WithdrawalOutcome
 from soak.accounts import Mark, Session, reckon
 from soak.bench_truth import FingerClaim, Round, judge_bench
 from soak.felt import Bounds
@@ -51,22 +52,25 @@ TIMES_NS = np.arange(0, 6_000 * MS, MS)
 FORCES_N = np.where(TIMES_NS < 3_000 * MS, 0.245, 0.0)
 
 
-def says(at_ms: int, finger: str, state: str = "playing") -> FingerClaim:
+OFF = FingerState(0.0, 0.0, "", WithdrawalOutcome.WITHDRAWN, True)
+
+
+def says(at_ms: int, finger: FingerState, state: str = "playing") -> FingerClaim:
     return FingerClaim(at_ms * MS, state, finger)
 
 
 TRUE = Round(
     "stall 0.40 s",
     [
-        says(1_000, "pressed with 244 mN"),
-        says(2_800, "pressed with 251 mN, withdrawing", "fault"),
-        says(3_050, "not pressed, withdrawing", "fault"),
-        says(3_400, "withdrawn", "fault"),
+        says(1_000, FingerState(0.244)),
+        says(2_800, FingerState(0.251, 0.0, "", WithdrawalOutcome.UNDER_WAY), "fault"),
+        says(3_050, FingerState(0.0, 0.0, "", WithdrawalOutcome.UNDER_WAY), "fault"),
+        says(3_400, OFF, "fault"),
     ],
     *(
         3,
         [Fault(FaultKind.NO_COMMAND, Part.DRIVE, "no command for 403 ms")],
-        "withdrawn",
+        OFF,
         TIMES_NS,
         FORCES_N,
     ),
@@ -77,9 +81,9 @@ TRUE = Round(
     ("played", "failed"),
     [
         (TRUE, ""),
-        (replace(TRUE, claims=[says(1_000, "withdrawn")]), "finger"),
-        (replace(TRUE, claims=[says(2_000, "not pressed")]), "finger"),
-        (replace(TRUE, claims=[says(2_000, "pressed with 339 mN")]), "finger"),
+        (replace(TRUE, claims=[says(1_000, OFF)]), "finger"),
+        (replace(TRUE, claims=[says(2_000, FingerState(0.0))]), "finger"),
+        (replace(TRUE, claims=[says(2_000, FingerState(0.339))]), "finger"),
         (replace(TRUE, status=0), "ends"),
         (replace(TRUE, faults=[]), "ends"),
         # The tip stays where it was, and the summary claims that it has left.

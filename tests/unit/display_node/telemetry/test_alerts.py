@@ -7,6 +7,7 @@ import pytest
 
 from display_node.telemetry.alerts import alerts
 from protocol.faults import START_AGAIN, Fault, FaultKind, Note, Part
+from protocol.finger import FingerState, WithdrawalOutcome
 from protocol.refusals import Reason
 from protocol.summary.fields import BeatFigures, Compensation, Deadlines, Loop, Summary
 from tests.support.given_faults import FILM_LOST, MISSED
@@ -66,26 +67,27 @@ REFUSED = Reason(
 REFUSAL = str(REFUSED)
 SAMPLES = waiting_for(Reason("samples"))
 GUANS = replace(FILM_LOST, contactor="guan")
+OFF = FingerState(0.0, 0.0, "", WithdrawalOutcome.WITHDRAWN, True)
 TROUBLED = Summary(
     beats=BeatFigures(quality=0.12, alarm=True),
     compensation=Compensation(noticed_5s=0.123, alarm=True),
-    finger="pressed with 245 mN",
+    finger=FingerState(0.245),
     finger_stiffness=5.0,
 )
-THREE = several(cun=Summary(), guan=TROUBLED, chi=Summary(finger="withdrawn", finger_stiffness=1.0))
+THREE = several(cun=Summary(), guan=TROUBLED, chi=Summary(finger=OFF, finger_stiffness=1.0))
 FINGERS = "; finger: guan: pressed with 245 mN, chi: withdrawn"
 # A display's state, changes of its summary, and the alerts, which terminal and page show alike.
 ALERTS: list[tuple[str, Changes, dict[str, str]]] = [
     ("playing", {}, {}),
     (
         "fault",
-        faults(FILM_LOST) | {"finger": "pressed with 245 mN"},
+        faults(FILM_LOST) | {"finger": asdict(FingerState(0.245))},
         {"fault: film: feedback lost": f"{CHECK_FILM}; finger: pressed with 245 mN"},
     ),
     (
         "fault",
-        faults(GUANS) | several(cun=Summary(finger="off"), guan=Summary()),
-        {"fault: guan: film: feedback lost": f"{CHECK_FILM}; finger: cun: off"},
+        faults(GUANS) | several(cun=Summary(finger=OFF), guan=Summary()),
+        {"fault: guan: film: feedback lost": f"{CHECK_FILM}; finger: cun: withdrawn"},
     ),
     ("playing", notes(MISSED), {"film's sensor": "3 samples missing"}),
     (
@@ -161,7 +163,7 @@ def test_each_condition_has_its_alert_and_a_good_state_none(
 def test_of_a_silent_display_only_faults_and_silence_are_alerts_and_of_the_last_status_faults() -> (
     None
 ):
-    summary = Summary(faults=[FILM_LOST], finger="force unknown since 3 s").to_dict()
+    summary = Summary(faults=[FILM_LOST], finger=FingerState(None, 3.0)).to_dict()
     summary |= {"compensation": {"alarm": True}}
     found = alerts("fault", summary, silent_ns=4 * SECOND_NS)
     assert [(alert.name, alert.text) for alert in found] == [

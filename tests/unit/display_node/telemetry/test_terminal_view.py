@@ -1,4 +1,5 @@
 import io
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from rich.console import Console
 
 from display_node.telemetry.terminal_view import TerminalView
 from protocol.faults import Fault, FaultKind, Part
+from protocol.finger import FingerState
 from protocol.refusals import Reason
 from protocol.summary.fields import (
     Compensation,
@@ -97,7 +99,7 @@ def test_each_alert_is_printed_once_in_full_and_shown_while_it_lasts(
 def test_a_refusal_is_in_the_line_and_in_full_below_it_also_in_a_narrow_terminal(
     state: str, cause: str, line: str
 ) -> None:
-    finger = "not pressed (model, no drive)" if state == "waiting" else None
+    finger = asdict(FingerState(0.0, measured_by="model")) if state == "waiting" else {}
     under_test = view(state, 0, refused=cause, waiting_for=waiting_for(REFUSED), finger=finger)
     assert under_test.line() == line
     assert REFUSAL in " ".join(printed(under_test, width=80).split())
@@ -145,7 +147,8 @@ def test_unreadable_telemetry_is_counted_and_shown() -> None:
 @pytest.mark.parametrize("name", ["[red]evil[/red]", "\x1b[31mevil", "[/]"])
 def test_the_texts_of_a_status_cannot_draw_on_the_screen(name: str) -> None:
     fault = Fault(FaultKind.UNKNOWN, Part.FILM, name, 0, name)
-    under_test = view(**faults(fault), finger=name, rejected={name: 1})
+    finger = asdict(FingerState(0.0, 0.0, name))
+    under_test = view(**faults(fault), finger=finger, rejected={name: 1})
     assert under_test.status is not None
     under_test.status = under_test.status._replace(state=name, stream=name)
     text = printed(under_test)
@@ -168,7 +171,8 @@ def test_a_status_line_has_at_most_100_characters(
     under_test.add_trace(Trace(ticks, ticks, force, force, np.ones(2, bool)))
     counts = SampleCounts(count, count, count, count, count, count)
     found = [Fault(FaultKind.SILENT, Part.FILM, cause, 0, cause[:9]) for cause in causes]
-    summary = Summary(samples=counts, faults=found, finger=finger).to_dict()
+    fingers = FingerState(0.0, measured_by=finger)
+    summary = Summary(samples=counts, faults=found, finger=fingers).to_dict()
     under_test.status = Status(state, "stream", summary, False)
     for now_ns in (0, 10**17):
         assert len(under_test.line(now_ns)) <= 100

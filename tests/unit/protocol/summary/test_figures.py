@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from protocol.faults import Fault, FaultKind, Note, Part
+from protocol.finger import FingerState
 from protocol.summary import fields
 from protocol.summary.fields import Summary, read_summary
 from protocol.summary.figures import Figure, Surface, figures
@@ -69,14 +70,15 @@ def changed(summary: Json, figure: Figure) -> Json:
     elif isinstance(value, list):
         inner[name] = ["another word"]
     else:
-        inner[name] = "another text" if isinstance(value, str) else value + 7
+        inner[name] = _other(value)
     return other
 
 
 def _other(value: Any) -> Any:
     if not isinstance(value, str):
         return value + 7
-    return {"silent": "late", "film": "drive", "sensor": "drive"}.get(value, "another text")
+    others = {"silent": "late", "film": "drive", "sensor": "drive", "under way": "unconfirmed"}
+    return others.get(value, "another text")
 
 
 @pytest.mark.parametrize("surface", Surface)
@@ -156,12 +158,15 @@ def test_the_texts_of_an_earlier_version_are_read_as_records() -> None:
     old = Summary().to_dict()
     del old["notes"]
     old["faults"] = ["guan: feedback lost", "film's sensor: 3 missing", "sensing node: 2 too much"]
+    old["finger"] = "pressed with 245 mN"
+    old["contactors"] = {"guan": {"finger": "withdrawn"}}
     old["waiting_for"] = "nobody listens at tcp://wrist:5555"
     found = read_summary(old)
     assert found.faults == [Fault(FaultKind.UNKNOWN, Part.UNKNOWN, "guan: feedback lost")]
     assert str(found.faults[0]) == "guan: feedback lost"
     assert found.notes == [Note(Part.FILM, "3 missing"), Note(Part.SENSOR, "2 too much")]
     assert [reason.text for reason in found.waiting_for] == [old["waiting_for"]]
+    assert found.finger == found.contactors["guan"].finger == FingerState()
     # A recording leaves out what has no value.
     assert read_summary({}) == read_summary({"faults": [], "waiting_for": None}) == Summary()
 

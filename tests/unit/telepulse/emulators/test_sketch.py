@@ -55,6 +55,8 @@ def make_ready(board: Sketch) -> None:
     send(board, Format.HOME, *SEARCH)
     while board.look().state in (BoardMode.DISARMED, BoardMode.ARMED, BoardMode.HOMING):
         board.run(1)
+        # A sign of life.
+        send(board, Format.VELOCITY, 0, 20)
     board.run(20)
 
 

@@ -17,6 +17,7 @@ from prometheus_client.registry import Collector
 
 from protocol.errors import AddressError
 from protocol.faults import Fault, FaultKind, Note, Part
+from protocol.finger import FingerState, WithdrawalOutcome
 from protocol.summary.fields import (
     BeatFigures,
     Clock,
@@ -81,7 +82,7 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         rejected={"late_hello": 2},
         faults=[Fault(FaultKind.SILENT, Part.FILM, "silent for 40 ms", 7, "cun")],
         notes=[Note(Part.FILM, "17 samples missing from /dev/ttyACM0", "cun")],
-        finger="pressed with 245 mN, the drive does not answer",
+        finger=FingerState(0.245, 0.01, "", WithdrawalOutcome.UNCONFIRMED, False),
     )
     found = scraped(families("display-node", node_state(summary), 3 * SECOND_NS))
     for name, labels, value in [
@@ -98,7 +99,9 @@ def test_figures_come_in_base_units_and_counts_as_counters() -> None:
         ("heart_rate_hertz", {}, 1.25),
         ("state", {"telepulse_state": "playing"}, 1),
         ("state", {"telepulse_state": "stale"}, 0),
-        ("finger", {"name": "pressed with # mN, the drive does not answer"}, 1),
+        ("finger_newtons", {}, 0.245),
+        ("withdrawal", {"state": "unconfirmed"}, 1),
+        ("drive_answers", {}, 0),
         ("fault", {"kind": "silent", "part": "film", "contactor": "cun"}, 1),
         (
             "note",
@@ -128,7 +131,7 @@ def test_the_figures_of_several_contactors_have_their_names_as_labels() -> None:
         beats=BeatFigures(count=7, rate_per_min=75.0),
         compensation=Compensation(error_n=0.002, corrections=3),
         limited=Limits(force=Limited(2, 0.5, 0.05)),
-        finger="pressed with 245 mN",
+        finger=FingerState(0.245),
     )
     chi = Summary(beats=BeatFigures(count=8, alarm=True), hardware={"garbled": 3})
     compensation = Compensation(predicted=0.25)
@@ -143,7 +146,7 @@ def test_the_figures_of_several_contactors_have_their_names_as_labels() -> None:
         ("heart_rate_hertz", {"contactor": "cun"}, 1.25),
         ("limited_total", {"contactor": "cun", "limit": "force"}, 2),
         ("hardware_events_total", {"contactor": 'c"hi', "event": "garbled"}, 3),
-        ("finger", {"contactor": "cun", "name": "pressed with # mN"}, 1),
+        ("finger_newtons", {"contactor": "cun"}, 0.245),
     ]:
         assert found["telepulse_" + name, tuple(sorted(labels.items()))] == value, name
     # Those of the display have no contactor, nor has any figure of an only one.

@@ -133,6 +133,19 @@ def leave_thread(port: BoardPort) -> None:
     threading.Thread(target=time.sleep, args=(3,), name="reader", daemon=True).start()
 
 
+class Forgetful(BoardDecoder):
+    """It yields nothing after it was started anew."""
+
+    starts = 0
+
+    def reset(self) -> None:
+        self.starts += 1
+        BoardDecoder.reset(self)
+
+    def feed(self, packet: tuple[int, int]) -> Any:
+        return BoardDecoder.feed(self, packet) if self.starts < 2 else []
+
+
 backwards = itertools.count(1_000_000_000, -1_000_000)
 SENSORS: dict[str, tuple[dict[str, Any] | None, dict[str, Any] | None]] = {
     "read did not return within 0.3 s: it waits": ({"read": lambda self: time.sleep(0.5)}, None),
@@ -144,6 +157,10 @@ SENSORS: dict[str, tuple[dict[str, Any] | None, dict[str, Any] | None]] = {
     "the device's time goes back, from": (
         None,
         fed(lambda block: block._replace(device_ns=next(backwards), restarted=False)),
+    ),
+    "no sample came after the device was gone": (
+        None,
+        {"reset": Forgetful.reset, "feed": Forgetful.feed, "starts": 0},
     ),
     "samples a second came, and the table's rate is 1000 Hz": (
         None,
@@ -157,6 +174,8 @@ def test_a_sensors_defect_is_named(message: str, monkeypatch: pytest.MonkeyPatch
     # Short only where it is awaited: a busy machine delays the threads of the other cases too.
     if "it waits" in message:
         monkeypatch.setattr("telepulse.testing.sensor.READ_WITHIN_S", 0.3)
+    if "was gone" in message:
+        monkeypatch.setattr("telepulse.testing.sensor.RECOVERS_WITHIN_S", 3.0)
     if "runs on" in message:
         monkeypatch.setattr("telepulse.testing.conformance.ENDS_WITHIN_S", 0.2)
     with pytest.raises(ConformanceError) as caught:
