@@ -24,6 +24,7 @@ from tests.support.supervised_drive import (
     SPEEDS_M_PER_S,
     STALLS_MS,
     STARTS_MS,
+    TROUBLES,
     Event,
     InvariantError,
     events_of,
@@ -79,9 +80,23 @@ def test_no_events_that_hypothesis_finds_break_an_invariant(
     search()
 
 
+FILM_FAULT = next(
+    n for n, (kind, part) in enumerate(FAULTS) if (kind, part.value) == ("silent", "film")
+)
+FULL, TORN, DRIFTING = map(FILMS.index, ("full", "torn", "drifting"))
 # What was found, by its fewest events.
 FOUND: dict[str, list[Event]] = {
     "a film that is read again after the loop hung": [PRESS, after(25, "loop stall", 11)],
+    "commands that are lost when a withdrawal begins": [
+        PRESS,
+        after(54, "line", lasting(LINES.index("cut"), 40)),
+        after(11, "fault", FILM_FAULT),
+    ],
+    "a motor that is held for a second": [
+        PRESS,
+        after(39, "freeze", STALLS_MS.index(2)),
+        after(87, "trouble", lasting(TROUBLES.index("block"), 1_000)),
+    ],
 }
 
 
@@ -135,10 +150,6 @@ def stored(withdrawal: Any) -> WithdrawalOutcome:
 
 
 END = after(100, "end")
-FILM_FAULT = next(
-    n for n, (kind, part) in enumerate(FAULTS) if (kind, part.value) == ("silent", "film")
-)
-FULL, TORN = FILMS.index("full"), FILMS.index("torn")
 # Invariant -> kind of drive, what is broken, and the events that show it.
 BROKEN: dict[str, tuple[str, Callable[[], Any], list[Event]]] = {
     "beyond its travel": (
@@ -194,11 +205,11 @@ BROKEN: dict[str, tuple[str, Callable[[], Any], list[Event]]] = {
     "a film that was found at fault stops": (
         "tmcl",
         lambda: patch("pulse_drives.supervisor.FILM_IS_WRONG", frozenset()),
-        [PRESS, after(110, "fault", FILM_FAULT), after(60, "film", FULL)],
+        [PRESS, after(110, "fault", FILM_FAULT), after(20, "film", DRIFTING)],
     ),
     "away from the finger is stopped": (
         "cia402",
-        lambda: patch("pulse_drives.withdrawal.WRONG_WAY_N", -10.0),
+        lambda: patch.multiple("pulse_drives.withdrawal", WRONG_WAY_N=-10.0, IN_A_ROW=1),
         [PRESS, END],
     ),
     "has met error": (
