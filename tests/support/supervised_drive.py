@@ -75,6 +75,8 @@ class Event(NamedTuple):
     value: int = 0
 
 
+#: Most events find a tip on the finger.
+PRESS = Event("speed", 0, SPEEDS_M_PER_S.index(20e-3))
 EVENTS = (
     *("speed", "speed", "speed", "speed", "host stall", "loop stall", "drive stall", "fault"),
     *("film", "latency", "line", "jump", "freeze", "trouble", "origin", "end"),
@@ -709,7 +711,7 @@ def events_of(numbers: Iterable[tuple[int, int, int]]) -> list[Event]:
 
 
 def random_events(rng: random.Random) -> list[Event]:
-    """Return events that begin with a press, so that most find a tip on the finger."""
+    """Return events that begin with a press."""
     length = rng.randrange(1, 16)
     numbers = [(rng.randrange(256), rng.randrange(256), rng.randrange(256)) for _ in range(length)]
     return [Event("speed", 0, rng.choice((3, 5, 5, 7))), *events_of(numbers)]

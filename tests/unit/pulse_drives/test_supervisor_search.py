@@ -21,6 +21,7 @@ from tests.support.supervised_drive import (
     FILMS,
     KINDS,
     LINES,
+    PRESS,
     SPEEDS_M_PER_S,
     STALLS_MS,
     STARTS_MS,
@@ -39,7 +40,6 @@ QUICK_MS, ALL_MS = 40_000, 600_000
 QUICK_EXAMPLES, ALL_EXAMPLES = 5, 40
 BYTE = st.integers(0, 255)
 
-PRESS = Event("speed", 0, SPEEDS_M_PER_S.index(20e-3))
 SLOWLY = Event("speed", 0, SPEEDS_M_PER_S.index(5e-3))
 REST = Event("speed", 0, 0)
 
