@@ -99,9 +99,9 @@ def test_a_tip_that_has_come_to_rest_at_first_touch_presses_on_from_there() -> N
             send(board, Format.VELOCITY, 0 if ms < rest_ms else 2_000 * 256, 20)
             board.run(1)
             view = board.look()
+            assert view.lost_steps == 0
             depth_m = (view.force_n / 6.285e6) ** (2 / 3) + view.force_n / 1_000
             assert depth_m == pytest.approx(max(0.0, view.tip_m), abs=1e-12)
-    assert view.lost_steps == 0
 
 
 def test_boards_of_one_library_do_not_share_their_state() -> None:
