@@ -144,10 +144,12 @@ class Withdrawal:
         """
         if not self._film_trusted:
             return
-        self._last_n, self._film_ns = force_n, taken_ns
+        before_ns, self._last_n, self._film_ns = self._film_ns, force_n, taken_ns
         if self._outcome is not WithdrawalOutcome.UNDER_WAY:
             return
-        if self._may_turn(taken_ns, FILM_TURN_NS):
+        # After a pause, the force may have risen before the motor turned: nobody has read it then.
+        paused = before_ns is None or taken_ns - before_ns > FILM_TURN_NS
+        if paused or self._may_turn(taken_ns, FILM_TURN_NS):
             self._peak_n = max(self._peak_n, force_n)
         elif force_n > (1 + SHARE) * self._peak_n + WRONG_WAY_N:
             self._rising += 1

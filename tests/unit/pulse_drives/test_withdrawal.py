@@ -63,10 +63,16 @@ BEGAN_M = 0.6e-3
 class Tip:
     """A tip that obeys the withdrawal, with `gain` m of motion for each m commanded."""
 
-    def __init__(self, trusted: bool = True, gain: float = 1.0, film_trusted: bool = True) -> None:
-        self.withdrawal = Withdrawal(0, BEGAN_M, 0.0, CLEAR_M, trusted, film_trusted)
+    def __init__(
+        self,
+        trusted: bool = True,
+        gain: float = 1.0,
+        film_trusted: bool = True,
+        began_m: float = BEGAN_M,
+    ) -> None:
+        self.withdrawal = Withdrawal(0, began_m, 0.0, CLEAR_M, trusted, film_trusted)
         self.gain = gain
-        self.position_m = BEGAN_M
+        self.position_m = began_m
         self.travel_m = 0.0
         self.now_ms = 0
         self.reports = True
@@ -195,6 +201,22 @@ def test_readings_that_rise_before_the_first_command_stop_nothing() -> None:
     tip.now_ms = 200
     tip.position_m += 0.2e-3
     assert tip.run(300) is WithdrawalOutcome.WITHDRAWN
+
+
+@pytest.mark.parametrize("first_ms", [None, 2], ids=["none before", "one before"])
+def test_a_film_that_is_read_again_late_does_not_stop_a_tip_that_leaves(
+    first_ms: int | None,
+) -> None:
+    """The loop reads it: while that hangs, the drive's thread withdraws without it."""
+    tip = Tip(began_m=2e-3)
+    if first_ms is not None:
+        tip.run(first_ms)
+        # Until the drive had taken the first command, the tip pressed on.
+        tip.withdrawal.add_force_reading(0.1, first_ms * MS)
+    tip.run(60)
+    assert tip.run(5, force=True) is WithdrawalOutcome.UNDER_WAY
+    assert tip.position_m > 0.5e-3
+    assert tip.run(100, force=True) is WithdrawalOutcome.WITHDRAWN
 
 
 def test_a_film_that_is_at_fault_stops_nothing_that_the_position_confirms() -> None:
