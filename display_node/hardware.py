@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from display_node.plant.feedback import Feedback
 from display_node.plant.film_plausibility import FilmPlausibility, RisingForce
@@ -13,7 +14,6 @@ from protocol.finger import TOUCH_N, FingerState, WithdrawalOutcome
 from protocol.tactile import ElasticLayer
 from protocol.ticks import LimitCounter
 from pulse_drives import Drive, build_drive
-from pulse_drives.drive import WITHDRAWN_WITHIN_S
 from pulse_drives.scene import DriveScene
 from pulse_drives.supervisor import FILM_IS_WRONG, GIVEN_UP
 from pulse_sensors.sensor import Sensor
@@ -292,23 +292,15 @@ class Hardware:
         Returns the fault of a tip that may still press.
         """
         self.begin_withdrawal()
-        deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
-        self._status = self._drive.status()
-        while self._status.withdrawal is WithdrawalOutcome.UNDER_WAY:
-            if time.monotonic() > deadline_s:
-                break
-            time.sleep(POLL_S)
-            self.read()
-        outcome = self._status.withdrawal
-        if outcome in (None, WithdrawalOutcome.WITHDRAWN, WithdrawalOutcome.RELIEVED):
+        fault = self._drive.await_withdrawal(self.read)
+        self.read()
+        if fault is None:
             return None
-        now_ns = time.perf_counter_ns()
-        force_n = self.finger(now_ns).force_n
+        force_n = self.finger(fault.at_ns).force_n
         if self.measures_force and force_n is not None and force_n < TOUCH_N:
             return None
         felt = "an unknown force" if force_n is None else f"{force_n * 1e3:.0f} mN"
-        cause = f"it may still press with {felt} at the end, its withdrawal is {outcome.value}"
-        return Fault(FaultKind.STILL_PRESSED, self._drive.part, cause, now_ns)
+        return replace(fault, cause=f"{fault.cause}, with {felt}")
 
     def close(self) -> None:
         """Withdraw the tip, bring the drive to rest and close drive and sensor."""

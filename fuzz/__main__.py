@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from fuzz.board import search_board
 from fuzz.targets import NAMES
 from protocol.host.child_process import ChildProcess, python_command
 
@@ -22,6 +23,9 @@ from protocol.host.child_process import ChildProcess, python_command
 SHOWN_BYTES = 512
 SHOWN_LINES = 20
 LONGEST_INPUT_BYTES = 4096
+USUAL_S = 60.0
+# No target of bytes.
+BOARD = "board"
 LONGEST_INPUT_S = 10
 MOST_MEMORY_MB = 1024
 # Time to load and to end, on a busy machine.
@@ -49,9 +53,11 @@ class Outcome:
 
 
 def fuzz(
-    seconds: Annotated[float, typer.Option(min=1, help="At work, for all targets together.")] = 60,
     only: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="A target; give several for more.")
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="Targets, or board alone.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=1, help="At work, for all targets together.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Targets at once.")] = os.cpu_count() or 1,
     out: Annotated[Path, typer.Option(help="Corpora, crashes and logs.")] = Path("out/fuzz"),
@@ -59,16 +65,19 @@ def fuzz(
     """Fuzz all code that reads foreign input.
 
     Inputs that reach new code are kept, and the next run starts from them. Exit status 1 when an
-    input makes a target raise an unexpected error, take too much memory or too long.
+    input makes a target raise an unexpected error, take too much memory or too long. board is the
+    finger's board, under commands and inputs.
     """
+    if only == [BOARD]:
+        raise SystemExit(search_board(seconds, jobs))
     names = only or list(NAMES)
     unknown = sorted(set(names) - set(NAMES))
     if unknown:
-        _fail(f"no target {unknown[0]}; known: {', '.join(NAMES)}")
+        _fail(f"no target {unknown[0]}; known: {', '.join(NAMES)}; or {BOARD}, alone")
     if importlib.util.find_spec("atheris") is None:
         _fail("atheris is missing: pip install 'telepulse[fuzz]', where there is a wheel of it")
     jobs = min(jobs, len(names))
-    each_s = max(1, round(seconds * jobs / len(names)))
+    each_s = max(1, round((seconds or USUAL_S) * jobs / len(names)))
     print(f"{'target':<16}{'inputs':>12}{'a second':>10}{'features':>10}{'peak':>9}  crashes")
     began_s = time.monotonic()
     outcomes = []

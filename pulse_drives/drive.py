@@ -290,6 +290,23 @@ class Drive(ABC):
             self._supervisor.fail(replace(reason, at_ns=time.perf_counter_ns()))
         self._woken.set()
 
+    def await_withdrawal(self, between: Callable[[], object] = bool) -> Fault | None:
+        """Wait until a withdrawal has ended, as long as that may take.
+
+        between: called again and again, for example to read the film. Returns the fault of a tip
+        that may still press.
+        """
+        deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
+        while (outcome := self.status().withdrawal) is WithdrawalOutcome.UNDER_WAY:
+            if time.monotonic() > deadline_s:
+                break
+            between()
+            time.sleep(PERIOD_S)
+        if outcome in (None, WithdrawalOutcome.WITHDRAWN, WithdrawalOutcome.RELIEVED):
+            return None
+        cause = f"the tip may still press at the end, its withdrawal is {outcome.value}"
+        return Fault(FaultKind.STILL_PRESSED, self.part, cause, time.perf_counter_ns())
+
     def close(self) -> None:
         """Bring the drive to rest, disable and disconnect it. Never raises.
 
@@ -314,19 +331,13 @@ class Drive(ABC):
 
     def _await_rest(self) -> None:
         """Wait until the drive rests, or its withdrawal has ended."""
-        began_s = time.monotonic()
-        while True:
-            status, waited_s = self.status(), time.monotonic() - began_s
-            if status.fault is None:
-                self.command(0.0)
-                if not status.moving or waited_s > REST_WITHIN_S:
-                    return
-            elif (
-                status.withdrawal is not WithdrawalOutcome.UNDER_WAY
-                or waited_s > WITHDRAWN_WITHIN_S
-            ):
-                return
+        deadline_s = time.monotonic() + REST_WITHIN_S
+        while (status := self.status()).fault is None and time.monotonic() < deadline_s:
+            self.command(0.0)
+            if not status.moving:
+                break
             time.sleep(PERIOD_S)
+        self.await_withdrawal()
 
     def _guarded(self, work: Callable[[int], None], now_ns: int) -> None:
         """Do a part of the work at the device; any exception is a fault."""

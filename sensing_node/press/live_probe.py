@@ -20,9 +20,8 @@ from protocol.faults import Fault, FaultKind, Part, internal_fault
 from protocol.host.guard import GuardedThread
 from protocol.host.output import FAULT
 from protocol.wire.description import HOLD_DOWN, Channel
-from pulse_drives.drive import WITHDRAWN_WITHIN_S, Drive
+from pulse_drives.drive import Drive
 from pulse_drives.start_advice import advised
-from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from sensing_node.press.probe import TOUCH_N, Probe, ProbeLimits
@@ -269,18 +268,9 @@ class LiveProbe(PressedProbe):
         if not self._thread.stop(LOOP_ENDS_WITHIN_S):
             logger.error("the probe's loop hangs")
         self._drive.withdraw()
-        deadline_s = time.monotonic() + WITHDRAWN_WITHIN_S
-        while self._drive.status().withdrawal is WithdrawalOutcome.UNDER_WAY:
-            if time.monotonic() > deadline_s:
-                break
-            time.sleep(PERIOD_S)
-            self._read()
-        outcome = self._drive.status().withdrawal
-        if outcome not in (None, WithdrawalOutcome.WITHDRAWN, WithdrawalOutcome.RELIEVED):
-            cause = f"it may still press at the end, its withdrawal is {outcome.value}"
-            fault = Fault(FaultKind.STILL_PRESSED, Part.PROBE, cause, self._clock())
+        if (fault := self._drive.await_withdrawal(self._read)) is not None:
             self.probe.fault(fault)
-            logger.error(f"{fault}: {fault.remedy}", extra={FAULT: True})
+            self._log_faults()
 
     def close(self) -> None:
         """Take the probe off the wrist, bring the drive to rest, and close drive and sensors."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import FilmTable, SecondOrderScene, StepperScene
-from protocol.errors import BenchError
+from protocol.errors import BenchError, DriveError
 from telepulse.commissioning.identification import DEVIATIONS_95, ActuatorInput, Array
 from telepulse.commissioning.rig import Rig
 
@@ -124,7 +124,10 @@ class PressRecorder:
         return ActuatorInput(travel_m, tick_s, held=False)
 
     def _stop(self, reason: str) -> None:
-        self.rig.withdraw()
+        try:
+            self.rig.withdraw()
+        except DriveError as error:
+            raise BenchError(f"the press was stopped: {reason}; {error}") from None
         raise BenchError(f"the press was stopped and the tip went back: {reason}")
 
 

@@ -16,9 +16,8 @@ from display_node.scene import DisplayScene
 from protocol.config.quantities import count_text
 from protocol.errors import BenchError, DriveError
 from protocol.host.realtime import Pacer
-from pulse_drives.drive import PERIOD_S, WITHDRAWN_WITHIN_S, Drive
+from pulse_drives.drive import PERIOD_S, Drive
 from pulse_drives.scene import DriveScene
-from pulse_drives.withdrawal import WithdrawalOutcome
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from telepulse.commissioning.sensor_check import Check, SensorRecord, grade, of_each_force
@@ -93,12 +92,13 @@ class HardwareRig:
         return (commanded_ns - self._began_ns) * 1e-9, samples
 
     def withdraw(self) -> None:
-        """Go back off the finger and rest; afterwards the drive follows no further commands."""
-        drive = self._drive
-        drive.withdraw()
-        end_s = time.monotonic() + WITHDRAWN_WITHIN_S
-        while drive.status().withdrawal is WithdrawalOutcome.UNDER_WAY and time.monotonic() < end_s:
-            time.sleep(PERIOD_S)
+        """Go back off the finger and rest; afterwards the drive follows no further commands.
+
+        Raises DriveError for a tip that may still press.
+        """
+        self._drive.withdraw()
+        if (fault := self._drive.await_withdrawal()) is not None:
+            raise DriveError(fault.kind, f"{fault}: {fault.remedy}")
 
 
 Rig = ModelRig | HardwareRig

@@ -285,7 +285,7 @@ static void begin_withdrawal(int64_t before_net, bool leaves, bool is_full) {
 static void check_search_end(int before, bool began_search) {
   if (before != HOMING || state == HOMING || state == READY || began_search) return;
   // The last ones do not count, as a wire may have been torn off.
-  int32_t *end = c->films + FILM_SEEN_MS - SETTLED_MS;
+  int32_t *end = c->films + FILM_SEEN_MS - SETTLED_MS + 1;
   int32_t last_least = *std::min_element(c->films, end);
   int32_t last_most = *std::max_element(c->films, end);
   if (state != WITHDRAWING) return;

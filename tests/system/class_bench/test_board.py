@@ -409,6 +409,8 @@ def test_a_program_that_hangs_is_reset_by_the_processors_watchdog(
         assert left_the_finger(display, within_ms=200)
         assert display.run_until(WITHDRAWN).cause == RESET
         assert display.greet().reset_cause == 4
+        # Home, as the steps that were given meanwhile count.
+        assert display.report()["tip_um"] == pytest.approx(-2_000, abs=40)
     # Without the loop, the interrupt gives no step beyond the soft limit.
     rows = [row.split(",") for row in trace.read_text().splitlines() if row.startswith("ms")]
     assert max(float(row[2]) for row in rows) < 4_000 * STEP_M * 1e6 - 2_000 + 15
@@ -439,6 +441,23 @@ def test_a_home_switch_that_is_stuck_fails_the_search_or_withdraws(board: Open) 
         assert left_the_finger(display, within_ms=100)
         # The switch does not end it before home.
         assert display.run_until(WITHDRAWN).position == 0
+
+
+def test_the_switch_is_read_anew_with_the_limits_and_after_it_bounced(board: Open) -> None:
+    with board() as display:
+        # Closed, as a board reads it that does not know the wiring; and open at a closed contact.
+        display.tell("switch 1")
+        display.run(10)
+        for command in ((LIMITS, *USUAL._replace(options=2)), (ARM,), (HOME, *SEARCH)):
+            display.send(*command)
+        assert display.run(10).mode == HOMING
+        assert display.states[-1].position < 0
+    with board() as display:
+        for closed_ms in range(2, 7):
+            display.tell("switch 1")
+            display.run(closed_ms)
+            display.tell("switch ok")
+            assert not display.run(8).flags & AT_HOME
 
 
 def test_silence_withdraws_in_ready_too(board: Open) -> None:

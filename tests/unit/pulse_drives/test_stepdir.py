@@ -148,6 +148,22 @@ def test_an_old_answer_is_none_to_a_command_of_the_same_number(bench: Bench) -> 
     line.detach()
 
 
+def test_a_host_that_stalls_in_a_search_ends_it(bench: Bench) -> None:
+    stalled = False
+
+    def stalls() -> None:
+        nonlocal stalled
+        if bench.emulator.mode is BoardMode.HOMING and not stalled:
+            stalled = True
+            bench.clock.stall(list(bench.clock.threads), bench.clock.now_ns + 100 * MS)
+
+    bench.clock.every(MS, stalls)
+    with pytest.raises(DriveError, match="no velocity came in time") as error:
+        bench.start()
+    assert error.value.kind == "not homed"
+    assert bench.emulator.mode is BoardMode.DISARMED
+
+
 def test_a_board_in_its_bootloader_is_waited_for(bench: Bench) -> None:
     bench.emulator.trouble = "silent"
     ready_ns = bench.clock.now_ns + 1_500 * MS
