@@ -94,6 +94,8 @@ class EmulatedBench:
     watchdog_ms: int = 0
     output: int | None = None
     name: str = ""
+    # Of the display, see `altered_node`.
+    alteration: str = ""
     processes: dict[str, ChildProcess] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -132,7 +134,9 @@ class EmulatedBench:
         words = (self.scene, "--connect", self.address, "--telemetry", self.telemetry)
         json_file = self.folder / "display.json"
         volume = "--quiet" if self.output is None else "--no-screen"
-        self.start("display", "display_node.cli", *words, volume, "--json", json_file)
+        altered = ("tests.support.altered_node", self.alteration) if self.alteration else ()
+        module, *more = (*altered, "display_node.cli", *words, volume, "--json", json_file)
+        self.start("display", str(module), *more)
 
     def await_state(
         self, wanted: str, within_s: float = STATE_WITHIN_S, played: int = 0
@@ -249,10 +253,12 @@ def playing(
     *drive_options: str,
     watchdog_ms: int = 0,
     output: int | None = None,
+    alteration: str = "",
 ) -> Iterator[EmulatedBench]:
     """Provide a bench on which the pulse is felt. Raises BenchFailedError."""
     with ExitStack() as leaving:
         bench = EmulatedBench(folder, kind, source, drive_options, watchdog_ms, output)
+        bench.alteration = alteration
         leaving.callback(bench.kill)
         bench.start_board()
         bench.start_drive()

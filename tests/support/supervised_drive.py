@@ -110,10 +110,9 @@ class Plant:
         most = self._axis.max_acceleration_m_per_s2 * 1e-3
         self.speed += min(max(self.target - self.speed, -most), most)
         moved_m = self.speed * 1e-3
-        if self.counted_m + moved_m < self._axis.lowest_m and moved_m < 0:
+        if moved_m < 0 and self.tip_m + moved_m < self._axis.lowest_m:
             # The home switch.
-            moved_m = min(self._axis.lowest_m - self.counted_m, 0.0)
-            self.speed = 0.0
+            moved_m, self.speed = min(self._axis.lowest_m - self.tip_m, 0.0), 0.0
         turned_m = moved_m
         if now_ms < self.blocked_until_ms:
             moved_m = 0.0

@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 from fuzz.targets import NAMES
 from tests.support.message_examples import FALSE_LENGTHS, HUGE
 
+# The search for events reads no foreign bytes; tests/unit/pulse_drives has it.
+READERS = [name for name in NAMES if name != "supervisor"]
 MOST_BYTES = 25_000_000
 EXAMPLES = 30
 
@@ -69,7 +71,7 @@ def mutations(draw: st.DrawFn, seeds: list[bytes]) -> bytes:
     return data
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READERS)
 @settings(max_examples=EXAMPLES)
 @given(data=st.data())
 def test_mutated_inputs(name: str, data: st.DataObject) -> None:
@@ -77,7 +79,7 @@ def test_mutated_inputs(name: str, data: st.DataObject) -> None:
     bounded(loaded.try_one, data.draw(mutations(loaded.seeds())))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READERS)
 @settings(max_examples=EXAMPLES)
 @given(data=st.binary(max_size=300))
 def test_any_bytes(name: str, data: bytes) -> None:
