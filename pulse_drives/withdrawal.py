@@ -37,11 +37,31 @@ MARGIN_M = 0.5e-3
 SILENT_NS = 50_000_000
 # Above this reading after the commanded travel, the film is still pressed.
 PRESSED_N = 0.05
-# An older reading of the film shows nothing of the present.
-FILM_SILENT_NS = 100_000_000
+# An older reading of the film, or position, shows nothing of the present.
+FILM_SILENT_NS = POSITION_SILENT_NS = 100_000_000
 # One that lasts longer counts as unconfirmed, and goes on. An axis that needs more than a second is
 # refused.
 OVERDUE_NS = 1_500_000_000
+
+
+class _Rise:
+    """Successive values beyond a bound.
+
+    Only a motor that still turns the wrong way makes each greater than the last. Where the first
+    commands were lost, or nobody read the film, the values are too great, but they fall.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.greatest = 0.0
+
+    def goes_on(self, value: float) -> bool:
+        """Return whether a value beyond the bound exceeds the last one, if that was, too."""
+        if self.count and value <= self.greatest:
+            return False
+        self.count += 1
+        self.greatest = value
+        return True
 
 
 class Withdrawal:
@@ -93,7 +113,7 @@ class Withdrawal:
         # Last reading, and its time; None before any.
         self._film_ns: int | None = None
         self._peak_n = self._last_n = 0.0
-        self._rising = self._wrong_way = 0
+        self._force, self._depth = _Rise(), _Rise()
         self._relieved = self.confirmed = self.handed_over = self.stopped_by_film = False
         # Time for which it is under way, without stalls of the host.
         self._lasted_ns = 0
@@ -124,11 +144,12 @@ class Withdrawal:
         if self._may_turn(received_ns, TURN_NS):
             self._peak_m = max(self._peak_m, position_m)
         elif position_m > self._peak_m + WRONG_WAY_M:
-            self._wrong_way += 1
-            if self._wrong_way >= IN_A_ROW:
-                self._outcome = WithdrawalOutcome.WRONG_WAY
-            return
-        self._wrong_way = 0
+            if self._depth.goes_on(position_m):
+                if self._depth.count >= IN_A_ROW:
+                    self._outcome = WithdrawalOutcome.WRONG_WAY
+                return
+            self._peak_m = self._depth.greatest
+        self._depth.count = 0
         self.confirmed |= position_m < self._peak_m - CONFIRMED_M
         if position_m > self._clear_m:
             self._clear_ns = 0
@@ -144,20 +165,19 @@ class Withdrawal:
         """
         if not self._film_trusted:
             return
-        before_ns, self._last_n, self._film_ns = self._film_ns, force_n, taken_ns
+        self._last_n, self._film_ns = force_n, taken_ns
         if self._outcome is not WithdrawalOutcome.UNDER_WAY:
             return
-        # After a pause, the force may have risen before the motor turned: nobody has read it then.
-        paused = before_ns is None or taken_ns - before_ns > FILM_TURN_NS
-        if paused or self._may_turn(taken_ns, FILM_TURN_NS):
+        if self._may_turn(taken_ns, FILM_TURN_NS):
             self._peak_n = max(self._peak_n, force_n)
         elif force_n > (1 + SHARE) * self._peak_n + WRONG_WAY_N:
-            self._rising += 1
-            if self._rising >= IN_A_ROW:
-                self._outcome = WithdrawalOutcome.WRONG_WAY
-                self.stopped_by_film = True
-            return
-        self._rising = self._wrong_way = 0
+            if self._force.goes_on(force_n):
+                if self._force.count >= IN_A_ROW:
+                    self._outcome = WithdrawalOutcome.WRONG_WAY
+                    self.stopped_by_film = True
+                return
+            self._peak_n = self._force.greatest
+        self._force.count = self._depth.count = 0
         self._relieved |= force_n < (1 - SHARE) * self._peak_n - CONFIRMED_N
         self.confirmed |= self._relieved
 
@@ -172,7 +192,7 @@ class Withdrawal:
         self.handed_over = True
         self._film_trusted = False
         self._began_ns = self._counted_ns = self._turning_ns = now_ns
-        self._wrong_way = self._lasted_ns = 0
+        self._depth.count = self._lasted_ns = 0
         self._peak_m = self._last_m
         self._outcome = WithdrawalOutcome.UNDER_WAY
 
@@ -200,8 +220,16 @@ class Withdrawal:
         if self._outcome is WithdrawalOutcome.UNDER_WAY:
             fast = self.confirmed and not self._clear_ns
             return -FAST_M_PER_S if fast else -SLOW_M_PER_S
-        pressed = self._outcome is WithdrawalOutcome.UNCONFIRMED and self._last_n > PRESSED_N
-        return -SLOW_M_PER_S if pressed else 0.0
+        if self._outcome is not WithdrawalOutcome.UNCONFIRMED:
+            return 0.0
+        # Commands may be lost, or the motor held, until it obeys.
+        goes_on = self._last_n > PRESSED_N or self._is_on_finger(now_ns)
+        return -SLOW_M_PER_S if goes_on else 0.0
+
+    def _is_on_finger(self, now_ns: int) -> bool:
+        """Return whether a position of the present shows that the tip is not off the finger."""
+        known = now_ns - self._received_ns <= POSITION_SILENT_NS < now_ns - self._began_ns
+        return self._trusted and known and self._last_m > self._clear_m
 
     def _is_clear(self, now_ns: int) -> bool:
         """Return whether the position, and a film that can be trusted, show the tip off."""

@@ -56,7 +56,10 @@ FAULTS = (
     *((kind, Part.DRIVE) for kind in (FaultKind.DRIVE_FAULT, FaultKind.INTERNAL)),
     (FaultKind.INTERNAL, Part.FILM),
 )
-FILMS = ("good", "good", "stuck", "late", "silent", "noisy", "torn", "full", "half", "double")
+FILMS = (
+    *("good", "good", "stuck", "late", "silent", "noisy", "torn", "full", "half", "double"),
+    "drifting",
+)
 LATE_FILM_MS = 60
 JUMPS_M = (30e-6, -30e-6, 140e-6, -140e-6, 400e-6, -400e-6, 2e-3, -2e-3)
 LINES = ("unanswered", "cut", "deaf", "twice")
@@ -72,6 +75,8 @@ class Event(NamedTuple):
     value: int = 0
 
 
+#: Most events find a tip on the finger.
+PRESS = Event("speed", 0, SPEEDS_M_PER_S.index(20e-3))
 EVENTS = (
     *("speed", "speed", "speed", "speed", "host stall", "loop stall", "drive stall", "fault"),
     *("film", "latency", "line", "jump", "freeze", "trouble", "origin", "end"),
@@ -282,6 +287,8 @@ class Film:
             force_n += 0.4 * ((now_ms * 7919) % 17 / 8 - 1)
         elif mode in ("torn", "full"):
             force_n = 0.0 if mode == "torn" else 5.0
+        elif mode == "drifting":
+            force_n += 50e-3 * (now_ms - self.truthful_since_ms)
         elif mode in ("half", "double"):
             force_n *= 0.5 if mode == "half" else 2.0
         return force_n, taken_ns
@@ -495,8 +502,8 @@ class Invariants:
     REACTION_MS = 15
     #: An obeying drive's tip is off: a second, a motion that is not shown, and enabling it again.
     GONE_WITHIN_MS = 1_000 + PATIENCE_NS // MS + 100
-    #: Of a withdrawal that is shown as under way; commands are counted in steps.
-    UNDER_WAY_MS = OVERDUE_NS // MS + 50
+    #: Of a withdrawal that is shown as under way, with a drive that is enabled again.
+    UNDER_WAY_MS = (OVERDUE_NS + UNSENT_NS) // MS + 50
     UNSENT_MS = UNSENT_NS // MS + 50
 
     def __init__(self, world: World) -> None:
@@ -640,9 +647,13 @@ class Invariants:
 
     @property
     def _is_excused(self) -> bool:
-        withdrawal = self._world.supervisor.withdrawal
+        world = self._world
+        withdrawal = world.supervisor.withdrawal
         assert withdrawal is not None
         if self._reversed_ms > self._began_ms - 100:
+            return True
+        if self._position_lied and world.supervisor.position_m <= world.axis.lowest_m:
+            # It has lost steps: by its count it is at home, where it must not go on.
             return True
         match withdrawal.outcome:
             case WithdrawalOutcome.WRONG_WAY if withdrawal.stopped_by_film:
@@ -700,7 +711,7 @@ def events_of(numbers: Iterable[tuple[int, int, int]]) -> list[Event]:
 
 
 def random_events(rng: random.Random) -> list[Event]:
-    """Return events that begin with a press, so that most find a tip on the finger."""
+    """Return events that begin with a press."""
     length = rng.randrange(1, 16)
     numbers = [(rng.randrange(256), rng.randrange(256), rng.randrange(256)) for _ in range(length)]
     return [Event("speed", 0, rng.choice((3, 5, 5, 7))), *events_of(numbers)]

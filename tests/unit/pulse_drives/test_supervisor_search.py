@@ -21,9 +21,11 @@ from tests.support.supervised_drive import (
     FILMS,
     KINDS,
     LINES,
+    PRESS,
     SPEEDS_M_PER_S,
     STALLS_MS,
     STARTS_MS,
+    TROUBLES,
     Event,
     InvariantError,
     events_of,
@@ -38,7 +40,6 @@ QUICK_MS, ALL_MS = 40_000, 600_000
 QUICK_EXAMPLES, ALL_EXAMPLES = 5, 40
 BYTE = st.integers(0, 255)
 
-PRESS = Event("speed", 0, SPEEDS_M_PER_S.index(20e-3))
 SLOWLY = Event("speed", 0, SPEEDS_M_PER_S.index(5e-3))
 REST = Event("speed", 0, 0)
 
@@ -79,9 +80,23 @@ def test_no_events_that_hypothesis_finds_break_an_invariant(
     search()
 
 
+FILM_FAULT = next(
+    n for n, (kind, part) in enumerate(FAULTS) if (kind, part.value) == ("silent", "film")
+)
+FULL, TORN, DRIFTING = map(FILMS.index, ("full", "torn", "drifting"))
 # What was found, by its fewest events.
 FOUND: dict[str, list[Event]] = {
     "a film that is read again after the loop hung": [PRESS, after(25, "loop stall", 11)],
+    "commands that are lost when a withdrawal begins": [
+        PRESS,
+        after(54, "line", lasting(LINES.index("cut"), 40)),
+        after(11, "fault", FILM_FAULT),
+    ],
+    "a motor that is held for a second": [
+        PRESS,
+        after(39, "freeze", STALLS_MS.index(2)),
+        after(87, "trouble", lasting(TROUBLES.index("block"), 1_000)),
+    ],
 }
 
 
@@ -135,10 +150,6 @@ def stored(withdrawal: Any) -> WithdrawalOutcome:
 
 
 END = after(100, "end")
-FILM_FAULT = next(
-    n for n, (kind, part) in enumerate(FAULTS) if (kind, part.value) == ("silent", "film")
-)
-FULL, TORN = FILMS.index("full"), FILMS.index("torn")
 # Invariant -> kind of drive, what is broken, and the events that show it.
 BROKEN: dict[str, tuple[str, Callable[[], Any], list[Event]]] = {
     "beyond its travel": (
@@ -194,11 +205,11 @@ BROKEN: dict[str, tuple[str, Callable[[], Any], list[Event]]] = {
     "a film that was found at fault stops": (
         "tmcl",
         lambda: patch("pulse_drives.supervisor.FILM_IS_WRONG", frozenset()),
-        [PRESS, after(110, "fault", FILM_FAULT), after(60, "film", FULL)],
+        [PRESS, after(110, "fault", FILM_FAULT), after(20, "film", DRIFTING)],
     ),
     "away from the finger is stopped": (
         "cia402",
-        lambda: patch("pulse_drives.withdrawal.WRONG_WAY_N", -10.0),
+        lambda: patch.multiple("pulse_drives.withdrawal", WRONG_WAY_N=-10.0, IN_A_ROW=1),
         [PRESS, END],
     ),
     "has met error": (

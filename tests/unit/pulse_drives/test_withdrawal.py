@@ -219,6 +219,23 @@ def test_a_film_that_is_read_again_late_does_not_stop_a_tip_that_leaves(
     assert tip.run(100, force=True) is WithdrawalOutcome.WITHDRAWN
 
 
+def test_a_tip_that_pressed_on_while_commands_were_lost_is_not_stopped_when_it_leaves() -> None:
+    tip = Tip()
+    tip.gain, tip.reports = -3.0, False
+    tip.run(40)
+    tip.gain, tip.reports = 1.0, True
+    # Now 1.2 mm further, which the first reports show.
+    assert tip.position_m > BEGAN_M + 1e-3
+    assert tip.run(300) is WithdrawalOutcome.WITHDRAWN
+
+
+def test_a_motor_that_is_held_for_longer_than_the_travel_takes_is_commanded_on() -> None:
+    tip = Tip(gain=0.0)
+    assert tip.run(1_000) is WithdrawalOutcome.UNCONFIRMED
+    tip.gain = 1.0
+    assert tip.run(200) is WithdrawalOutcome.WITHDRAWN
+
+
 def test_a_film_that_is_at_fault_stops_nothing_that_the_position_confirms() -> None:
     """Stuck at 1.2 N, it reads 1.9 N while the tip leaves."""
     tip = Tip(film_trusted=False)
@@ -228,7 +245,7 @@ def test_a_film_that_is_at_fault_stops_nothing_that_the_position_confirms() -> N
     assert tip.withdrawal.outcome is WithdrawalOutcome.WITHDRAWN
     stopped = Tip()
     for ms in range(1, 200):
-        stopped.withdrawal.add_force_reading(1.2 if ms < 60 else 1.9, ms * MS)
+        stopped.withdrawal.add_force_reading(1.2 if ms < 60 else 1.9 + 1e-3 * ms, ms * MS)
         stopped.run(1)
     assert stopped.withdrawal.outcome is WithdrawalOutcome.WRONG_WAY
     assert stopped.withdrawal.stopped_by_film
