@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fuzz.telemetry_readers import preamble, status_message
+from protocol.faults import Note, Part
 from protocol.summary.fields import ErrorWindow, PressFigures, Summary
 from protocol.tactile import ElasticLayer
 from protocol.wire.description import Channel, StreamDescription
@@ -15,6 +16,8 @@ from telepulse.recording.findings import RunFindings
 from telepulse.recording.mcap_writer import as_json
 from telepulse.recording.report import in_short
 from telepulse.telemetry.decoder import Entry, TelemetryDecoder
+from telepulse.telemetry.schema import STATUS
+from tests.support.given_faults import FILM_LOST
 from tests.support.streams import synthetic
 from tests.support.telemetry_publisher import MS, HandmadeTelemetry
 from tests.unit.telepulse.recording.test_forces import pulse_session
@@ -50,6 +53,25 @@ def test_a_window_without_a_known_error_is_read_as_it_was_recorded() -> None:
     summary = contents_of(entries).summary
     assert summary is not None
     assert summary.windows == [window]
+
+
+def test_a_recording_whose_faults_are_texts_is_read() -> None:
+    telemetry = HandmadeTelemetry()
+    entries = [*telemetry.receive(), *telemetry.status("fault", faults=[FILM_LOST], final=True)]
+    (status,) = (entry for entry in entries if entry.topic == STATUS)
+    new = contents_of(entries)
+    assert new.summary is not None
+    assert new.summary.faults == [FILM_LOST]
+    old = {key: value for key, value in status.fields["summary"].items() if key != "notes"}
+    status.fields["summary"] = old | {
+        "faults": ["drive: no answer", "film's sensor: 3 missing"],
+        "finger": "withdrawn",
+        "waiting_for": "samples",
+    }
+    findings = RunFindings(contents_of(entries))
+    assert findings.contents.summary is not None
+    assert findings.contents.summary.notes == [Note(Part.FILM, "3 missing")]
+    assert list(in_short(findings))[-1].endswith("faults: drive: no answer.")
 
 
 def test_frames_before_the_first_status_are_those_of_its_channels() -> None:
