@@ -26,6 +26,8 @@ WITHIN_S = 20.0
 # From an exception to the fault on the screens.
 SHOWN_WITHIN_NS = 500_000_000
 PLAYED = 500
+# After which the drive still obeys.
+FAULTS_BEFORE = {"tmcl": "film-silent", "cia402": "film-silent", "stepdir": "reset"}
 TMCL, CIA402 = "pulse_drives.tmcl.module:TmclModule", "pulse_drives.cia402.node:Cia402Node"
 BOARD = "pulse_drives.stepdir.board:DisplayBoard"
 TMCL_LINE = "pulse_drives.tmcl.line:TmclLine"
@@ -125,8 +127,8 @@ def test_an_error_that_no_code_expects_is_shown_and_the_tip_leaves(
         assert end_display(bench) == FAULT_STATUS
 
     alteration = f"raise={case.method},{case.error},{case.moment},{{here}}/raised"
-    film = ("--fault", "film-silent", "--fault-after", "1")
-    options = film if case.moment == WITHDRAWAL else ()
+    before = ("--fault", FAULTS_BEFORE[case.kind], "--fault-after", "1")
+    options = before if case.moment == WITHDRAWAL else ()
     motor = on_a_bench(tmp_path, case.kind, happens, *options, alteration=alteration).motor()
     assert motor.force_n.max() > 0.1
     assert motor.force_n[-1] == 0
