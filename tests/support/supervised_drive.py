@@ -557,7 +557,8 @@ class Invariants:
             self._fail(f"the drive has met {errors[0]}")
         self._note_lies()
         far_m = world.axis.furthest_m + self.BEYOND_M
-        if plant.tip_m > far_m and self._reversed_ms < 0:
+        # Steps that a motor has lost on its way out show at the film alone, which the loop checks.
+        if plant.counted_m > far_m and self._reversed_ms < 0:
             self._fail("the tip is beyond its travel")
         fault = world.supervisor.fault
         if self._fault is not None:
