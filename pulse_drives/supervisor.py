@@ -271,7 +271,8 @@ class Supervisor:
         """Return the velocity to send now, in the drive's units; then call `mark_sent`."""
         if self.withdrawal is not None:
             speed = self.withdrawal.speed_m_per_s(now_ns, self.travel_m(now_ns))
-            if self._is_at_home:
+            # Where steps are lost, the count is home before the tip is.
+            if self._is_at_home and not self.withdrawal.film_shows_press(now_ns):
                 speed = 0.0
             speed = max(speed, -self._axis.max_speed_m_per_s)
         elif self.fault is not None:

@@ -250,6 +250,10 @@ class Withdrawal:
     def _film_is_known(self, now_ns: int) -> bool:
         return self._film_ns is not None and now_ns - self._film_ns <= FILM_SILENT_NS
 
+    def film_shows_press(self, now_ns: int) -> bool:
+        """Return whether a film that can be trusted shows that the tip still presses."""
+        return self._film_is_known(now_ns) and self._last_n > PRESSED_N
+
     def _may_turn(self, taken_ns: int, within_ns: int) -> bool:
         """Return whether an older command explains a motion towards the finger at a time."""
         return taken_ns - self._turning_ns < within_ns or taken_ns - self._sent_ns > PAUSE_NS

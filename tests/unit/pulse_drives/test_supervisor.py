@@ -171,3 +171,18 @@ def test_a_lock_times_out_while_its_holder_stalls_and_then_excludes_again() -> N
     times_s = [0.0, 0.5 + PATIENCE_S, 0.5 + PATIENCE_S, 1.0005, 1.001, 1.021]
     assert [name for name, _ in entries] == ["loop", *["drive"] * 3, "loop", "drive"]
     assert [time_s for _, time_s in entries] == pytest.approx(times_s)
+
+
+@pytest.mark.parametrize(("force_n", "goes_on"), [(0.8, True), (0.0, False)])
+def test_a_tip_that_is_home_by_its_count_alone_is_withdrawn_on(
+    force_n: float, goes_on: bool
+) -> None:
+    """Steps were lost on the way, and a film that can be trusted still reads a press."""
+    bench = Bench()
+    bench.run(40, 10e-3)
+    bench.supervisor.fail(Fault(FaultKind.NO_COMMAND, Part.LOOP, "none", bench.now_ms * MS))
+    for _ in range(600):
+        bench.supervisor.add_force_reading(force_n, bench.now_ms * MS)
+        bench.run(1)
+    assert (bench.tip_m < bench.axis.lowest_m - 0.5e-3) is goes_on
+    assert (bench.speed < 0) is goes_on
