@@ -6,8 +6,7 @@ this machine (`tests/support/board_search.py`). It needs a C++ compiler, and not
 
 import secrets
 import time
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +19,7 @@ LEAST_MS = 1_000_000_000
 LEAST_S = 600.0
 # Some seconds.
 ROUND_MS = 2_000_000
+PROGRESS_S = 60.0
 
 
 def search_board(seconds: float | None, jobs: int) -> int:
@@ -29,37 +29,39 @@ def search_board(seconds: float | None, jobs: int) -> int:
     """
     began_s, ended = time.monotonic(), Event()
     first_seed = secrets.randbits(48)
+    passed_ms = [0] * jobs
 
-    def goes_on(passed_ms: int) -> bool:
+    def goes_on() -> bool:
         passed_s = time.monotonic() - began_s
         if seconds is not None:
             return passed_s < seconds
-        return passed_s < LEAST_S or passed_ms * jobs < LEAST_MS
+        return passed_s < LEAST_S or sum(passed_ms) < LEAST_MS
 
-    def work(search: BoardSearch, seeds: Iterator[int]) -> tuple[int, Finding | None]:
-        passed_ms = 0
-        while goes_on(passed_ms) and not ended.is_set():
-            more_ms, finding = search.at_random(next(seeds), ROUND_MS)
-            passed_ms += more_ms
+    def work(number: int, search: BoardSearch) -> Finding | None:
+        for seed in count(first_seed + number, jobs):
+            if ended.is_set() or not goes_on():
+                return None
+            more_ms, finding = search.at_random(seed, ROUND_MS)
+            passed_ms[number] += more_ms
             if finding is not None:
                 ended.set()
-                return passed_ms, finding
-        return passed_ms, None
+                return finding
+        raise AssertionError("seeds do not end")
+
+    def progress() -> str:
+        passed_s = time.monotonic() - began_s
+        return f"board: {sum(passed_ms):,} ms of the board in {passed_s:.0f} s"
 
     with TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
-        searches = copies(Path(folder), jobs)
-        seeds = [count(first_seed + number, jobs) for number in range(jobs)]
+        works = [pool.submit(work, *each) for each in enumerate(copies(Path(folder), jobs))]
         try:
-            outcomes = list(pool.map(work, searches, seeds))
+            while wait(works, PROGRESS_S).not_done:
+                print(progress(), flush=True)
         finally:
             ended.set()
-    elapsed_s = time.monotonic() - began_s
-    board_ms = sum(passed_ms for passed_ms, _ in outcomes)
-    findings = [finding for _, finding in outcomes if finding is not None]
+        findings = [finding for each in works if (finding := each.result()) is not None]
     for finding in findings:
         print(finding)
-    print(
-        f"{'FAIL' if findings else 'ok'}: board: {board_ms:,} ms of the board in {elapsed_s:.0f} s"
-        f" from seed {first_seed} on, {len(findings)} findings"
-    )
+    verdict = "FAIL" if findings else "ok"
+    print(f"{verdict}: {progress()}, from seed {first_seed} on, {len(findings)} findings")
     return 1 if findings else 0
