@@ -8,6 +8,7 @@ from display_node.control.force_bounds import ForceBounds
 from display_node.control.link_loss import Fade
 from display_node.scene import DisplayScene
 from protocol.config.scene_file import find_scene
+from protocol.faults import Fault
 from protocol.tactile import Adc
 from telepulse.paper import published
 from telepulse.paper.stability import BOUND_N, HELD_N, SAFETY, Array, paper_setup
@@ -52,7 +53,7 @@ def run(
     reading: Callable[[int, float], float] = lambda _, reading_n: reading_n,
     with_safety: bool = True,
     ticks: int = 2000,
-) -> tuple[Array, list[str]]:
+) -> tuple[Array, list[Fault]]:
     """Run the loop from rest, tick by tick.
 
     reference: target force in N at a tick. reading: of the film for the controller in N, from the

@@ -10,6 +10,7 @@ from display_node.plant.scene import SecondOrderScene, StepperScene
 from display_node.scene import DisplayScene
 from protocol.config.scene import validate
 from protocol.errors import SceneError
+from protocol.faults import FaultKind
 from telepulse.paper import published
 from telepulse.paper.stability import BOUND_N, HELD_N, Array
 from tests.system.stability.hard_case import (
@@ -258,5 +259,6 @@ def test_one_strange_reference_or_reading_is_bridged_or_ends_at_rest(
         assert_settled(setup, felt_n)
         return
     finite = math.isfinite(value_n)
-    assert faults == ["felt force above 2.7 N" if finite else "feedback is not a number"]
+    (fault,) = faults
+    assert fault.kind is (FaultKind.OVERFORCE if finite else FaultKind.NOT_A_NUMBER)
     assert_comes_to_rest(setup, felt_n, STRANGE_AT)
