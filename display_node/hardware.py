@@ -313,4 +313,8 @@ class Hardware:
 
 
 def _shows_wrong_film(fault: Fault) -> bool:
-    return fault.part is Part.FILM and fault.kind in FILM_IS_WRONG
+    """Return whether the film's readings are false from a fault on, whenever they come."""
+    return fault.part is Part.FILM and fault.kind in FILM_IS_WRONG - {
+        FaultKind.SILENT,
+        FaultKind.LATE,
+    }
