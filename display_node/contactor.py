@@ -256,7 +256,7 @@ class Contactor:
             return
         if self._tip is not None:
             output += self._tip.follow(self._target_n, gain, hardware)
-        fault = hardware.command(output, fade.faults)
+        fault = hardware.command(output, fade.faults, self._fault_name)
         if fault is not None:
             self.latch(fault, fade)
 

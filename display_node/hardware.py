@@ -23,6 +23,8 @@ POLL_S = 0.01
 # Without a film, the positions of a drive that answers may be missing for its watchdog's time and
 # this.
 POSITION_LATE_NS = 10_000_000
+# Faults from which on the film's readings are false, whenever they come.
+FALSE_READINGS = FILM_IS_WRONG - {FaultKind.SILENT, FaultKind.LATE}
 _GIVEN_UP = {
     WithdrawalOutcome.UNCONFIRMED: FaultKind.UNCONFIRMED,
     WithdrawalOutcome.WRONG_WAY: FaultKind.TOWARDS_FINGER,
@@ -195,9 +197,12 @@ class Hardware:
         speed_m_per_s = self._speed_m_per_s or 0.0
         return self._travel_m - before_m - speed_m_per_s * (held_ticks * self._tick_ns) * 1e-9
 
-    def command(self, speed_m_per_s: float, faults: Sequence[Fault]) -> Fault | None:
+    def command(
+        self, speed_m_per_s: float, faults: Sequence[Fault], contactor: str = ""
+    ) -> Fault | None:
         """Command a speed until the next tick, or after a fault the withdrawal.
 
+        contactor: name by which faults are of this bench; those of others are of other films.
         Returns the fault of a withdrawal that failed.
         """
         self._speed_m_per_s = speed_m_per_s
@@ -205,9 +210,12 @@ class Hardware:
             self._drive.command(speed_m_per_s)
             self.at_end.add(self._status.held_back)
             return None
-        if self._film_wrong_ns is None and any(map(_shows_wrong_film, faults)):
-            self._film_wrong_ns = faults[0].at_ns
-        self._drive.withdraw(faults[0])
+        of_film = [f for f in faults if f.part is Part.FILM and f.contactor == contactor]
+        if self._film_wrong_ns is None:
+            times_ns = (f.at_ns for f in of_film if f.kind in FALSE_READINGS)
+            self._film_wrong_ns = next(times_ns, None)
+        trusted = all(fault.kind not in FILM_IS_WRONG for fault in of_film)
+        self._drive.withdraw(faults[0], trusted)
         # After a fault no command is sent; `held_back` still belongs to the last one: not counted.
         self.at_end.add(limited=False)
         return self._failed_withdrawal()
@@ -310,11 +318,3 @@ class Hardware:
             self._drive.close()
             if self._sensor is not None:
                 self._sensor.close()
-
-
-def _shows_wrong_film(fault: Fault) -> bool:
-    """Return whether the film's readings are false from a fault on, whenever they come."""
-    return fault.part is Part.FILM and fault.kind in FILM_IS_WRONG - {
-        FaultKind.SILENT,
-        FaultKind.LATE,
-    }

@@ -278,16 +278,17 @@ class Drive(ABC):
         with self._lock:
             self._supervisor.origin_m = min(origin_m, 0.0)
 
-    def withdraw(self, reason: Fault | None = None) -> None:
+    def withdraw(self, reason: Fault | None = None, film_trusted: bool = True) -> None:
         """Take the tip off the finger from now on, and keep it there until `start`.
 
         Never waits for the drive. The reason becomes the fault, unless there is one; None: the end
-        of a run, which is no fault.
+        of a run, which is no fault. film_trusted: the film of this tip, or the load cell, was not
+        found wrong (`FILM_IS_WRONG`): else it decides nothing in the withdrawal.
         """
         if reason is None:
             reason = Fault(FaultKind.ENDED, self.part, "ended")
         with self._lock:
-            self._supervisor.fail(replace(reason, at_ns=time.perf_counter_ns()))
+            self._supervisor.fail(replace(reason, at_ns=time.perf_counter_ns()), film_trusted)
         self._woken.set()
 
     def await_withdrawal(self, between: Callable[[], object] = bool) -> Fault | None:

@@ -212,8 +212,11 @@ class Supervisor:
         if self.withdrawal is not None:
             self.withdrawal.add_force_reading(force_n, taken_ns)
 
-    def fail(self, fault: Fault) -> None:
-        """Latch a fault and begin the withdrawal, at the fault's time; a second changes nothing."""
+    def fail(self, fault: Fault, film_trusted: bool = True) -> None:
+        """Latch a fault and begin the withdrawal, at the fault's time; a second changes nothing.
+
+        film_trusted: the film of this drive was not found wrong.
+        """
         if self.fault is not None:
             return
         now_ns = fault.at_ns
@@ -226,9 +229,7 @@ class Supervisor:
                 self.travel_m(now_ns),
                 self._axis.clear_of(self.origin_m),
                 trusted=not self._following.failed,
-                film_trusted=not (
-                    fault.kind in FILM_IS_WRONG and fault.part in (Part.FILM, Part.LOAD_CELL)
-                ),
+                film_trusted=film_trusted,
             )
         # Set last, so that no other thread sees a fault without its withdrawal.
         self.fault = fault

@@ -22,6 +22,7 @@ from protocol.host.output import FAULT
 from protocol.wire.description import HOLD_DOWN, Channel
 from pulse_drives.drive import Drive
 from pulse_drives.start_advice import advised
+from pulse_drives.supervisor import FILM_IS_WRONG
 from pulse_sensors.samples import SampleBlock
 from pulse_sensors.sensor import Sensor
 from sensing_node.press.probe import TOUCH_N, Probe, ProbeLimits
@@ -312,7 +313,8 @@ class LiveProbe(PressedProbe):
             age_ns = 0 if self._newest is None else max(0, now_ns - self._newest.taken_ns)
             speed_m_per_s = probe.step(cell_n, film_n, position_m, now_ns, age_ns)
         if probe.faults:
-            drive.withdraw(probe.faults[0])
+            wrong = any(f.part is Part.LOAD_CELL and f.kind in FILM_IS_WRONG for f in probe.faults)
+            drive.withdraw(probe.faults[0], film_trusted=not wrong)
         else:
             drive.command(speed_m_per_s)
         self._log_faults()

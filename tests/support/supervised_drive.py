@@ -67,6 +67,11 @@ TROUBLES = ("fault", "block", "drop", "reverse")
 ORIGINS_M = (0.0, -0.2e-3, -0.5e-3, -1e-3)
 
 
+def film_is_trusted(fault: Fault) -> bool:
+    """Return whether a fault leaves the film trusted, as a display judges it."""
+    return fault.part not in (Part.FILM, Part.LOAD_CELL) or fault.kind not in FILM_IS_WRONG
+
+
 class Event(NamedTuple):
     """What happens `after_ms` the last event. value: chooses among what can happen, 0 to 255."""
 
@@ -450,7 +455,8 @@ class World:
                 self.drive_until_ms = until_ms
             case "fault":
                 kind, part = FAULTS[value % len(FAULTS)]
-                self.drive.withdraw(Fault(kind, part, "searched"))
+                fault = Fault(kind, part, "searched")
+                self.drive.withdraw(fault, film_is_trusted(fault))
             case "film":
                 self.film.set(FILMS[value % len(FILMS)], self.now_ms)
             case "latency":
@@ -623,7 +629,7 @@ class Invariants:
     def _film_is_trusted(self) -> bool:
         fault = self._fault
         assert fault is not None
-        return fault.part not in (Part.FILM, Part.LOAD_CELL) or fault.kind not in FILM_IS_WRONG
+        return film_is_trusted(fault)
 
     @property
     def _position_lied(self) -> bool:

@@ -153,6 +153,10 @@ def stored(withdrawal: Any) -> WithdrawalOutcome:
     return outcome
 
 
+def always_trusting(fail: Callable[..., None]) -> Callable[..., None]:
+    return lambda supervisor, fault, film_trusted=True: fail(supervisor, fault)
+
+
 END = after(100, "end")
 # Invariant -> kind of drive, what is broken, and the events that show it.
 BROKEN: dict[str, tuple[str, Callable[[], Any], list[Event]]] = {
@@ -208,7 +212,7 @@ BROKEN: dict[str, tuple[str, Callable[[], Any], list[Event]]] = {
     ),
     "a film that was found at fault stops": (
         "tmcl",
-        lambda: patch("pulse_drives.supervisor.FILM_IS_WRONG", frozenset()),
+        lambda: patch.object(Supervisor, "fail", always_trusting(Supervisor.fail)),
         [PRESS, after(110, "fault", FILM_FAULT), after(20, "film", DRIFTING)],
     ),
     "away from the finger is stopped": (
