@@ -126,8 +126,8 @@ def on_the_finger(*_: Any) -> float:
     return 0.5e-3
 
 
-def latch_any(supervisor: Supervisor, fault: Any) -> None:
-    latch(supervisor, fault)
+def latch_any(supervisor: Supervisor, fault: Any, film_trusted: bool = True) -> None:
+    latch(supervisor, fault, film_trusted)
     supervisor.fault = fault
 
 
