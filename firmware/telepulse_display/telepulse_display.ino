@@ -76,10 +76,9 @@ uint8_t home_changing = 0;
 FilmTrend trend;
 int32_t began_at;
 uint32_t began_ms;
-// Of a withdrawal: it takes the tip off the finger, not back to where a search began; position above
-// which a closed home switch may be stuck; the host has disarmed the board.
+// Of a withdrawal: it takes the tip off the finger, not back to where a search began; the host has
+// disarmed the board.
 bool leaving, disarming;
-int32_t switch_from;
 uint32_t present_ms = 0;
 uint16_t film = 0, sequence = 0;
 
@@ -139,12 +138,10 @@ void retreat(int32_t target, Cause why) {
   disarming = false;
 }
 
-// Take the tip off the finger. A home switch that is closed above a position ends nothing.
-void leave(int32_t target, int32_t from, Cause why) {
+// Take the tip off the finger.
+void leave(int32_t target, Cause why) {
   leaving = true;
-  switch_from = from;
   retreat(min(target, stepper.position), why);
-  keep_position();
   keep_limits();
 }
 
@@ -152,7 +149,7 @@ void leave(int32_t target, int32_t from, Cause why) {
 // it does not, the board stays where it is. The second part, which is towards the finger, is undone.
 void end_search(Cause why) {
   if (seeking && trend.fell()) {
-    leave(stepper.position - (int32_t)limits.withdrawal, FURTHEST, why);
+    leave(stepper.position - (int32_t)limits.withdrawal, why);
   } else if (!seeking || trend.rose()) {
     leaving = false;
     retreat(began_at, why);
@@ -164,12 +161,13 @@ void end_search(Cause why) {
 // Steps may be lost, or home be where the tip presses: so both, the distance and home.
 void withdraw(Cause why) {
   if (state == HOMING) end_search(why);
-  else leave(min(stepper.position - (int32_t)limits.withdrawal, 0L), 0, why);
+  else leave(min(stepper.position - (int32_t)limits.withdrawal, 0L), why);
 }
 
+// A home switch that is closed above home, or above the place of `arm`, may be stuck.
 void withdraw_on() {
   bool inward = stepper.wanted > 0;
-  bool at_home = leaving && home_closed && stepper.position <= switch_from;
+  bool at_home = leaving && home_closed && stepper.position <= 0;
   bool arrived = inward ? stepper.position >= stepper.highest
                         : stepper.position <= stepper.lowest;
   if (arrived || at_home) stepper.wanted = 0;
@@ -186,7 +184,6 @@ void withdraw_on() {
 
 void be_home() {
   homed = true;
-  keep_position();
   keep_limits();
   stepper.wanted = 0;
   stepper.bound(limits.lowest, limits.highest);
@@ -330,7 +327,7 @@ Result arm() {
 // A board that may press, or is about to, takes the tip back to home before.
 void disarm() {
   if (state == HOMING) end_search(HOST);
-  else if (state == READY || state == RUNNING) leave(0, 0, HOST);
+  else if (state == READY || state == RUNNING) leave(0, HOST);
   if (state == WITHDRAWING) disarming = true;
   else switch_off(DISARMED, NONE);
 }

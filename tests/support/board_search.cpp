@@ -47,7 +47,7 @@ struct Setting {
 enum Rule : int32_t {
   NO_RULE, BEYOND_HIGHEST, BELOW_LOWEST, MISCOUNTED, MOVES_AT_REST, TURNS_BACK, SEARCHES_TOO_FAR,
   STAYS_SILENT, FORGOTTEN_ARMED, IGNORES_FILM, IGNORES_JUMP, IGNORES_FAULT_PIN, IGNORES_SWITCH,
-  STALE_SWITCH, WRONG_TRANSITION,
+  STALE_SWITCH, TRIPS_WITHOUT_CAUSE, WRONG_TRANSITION,
   WRONG_ANSWER, NO_ANSWER, WRONG_SEQUENCE, CLAIMS_WITHDRAWN, OFF_WHILE_OUT, LATE_WITHDRAWAL,
   MOTOR_PIN, BACK_WITHOUT_RISE, AWAY_WITHOUT_FALL, SEARCH_PRESSES, SEARCH_LEAVES_PRESSED,
   WRONG_HOME, RESET_WITHOUT_WITHDRAWAL, HANGS
@@ -72,6 +72,7 @@ const uint32_t TRIP_STATES = 1 << HOMING | 1 << READY | 1 << RUNNING;
 // A half millisecond's and a computation's steps, from what was read until it acts.
 const int REACTION_STEPS = 34;
 const int ANSWERED_MS = 5, NOTICED_MS = 4, FILM_SEEN_MS = 12, SETTLED_MS = 4;
+const int FILM_NOISE = 64;
 const int64_t RANGE = 1 << 28;
 const double STIFFEST_N_PER_M = 1000, NOISE_N = 0.02;
 
@@ -99,7 +100,7 @@ struct Checker {
   Search search;
 
   // Since the last sign of life; since arm; film, fault pin and switch.
-  int64_t life_ms, armed_ms, film_ms, fault_ms, closed_ms, since_closed_ms;
+  int64_t life_ms, armed_ms, search_ms, film_ms, fault_ms, closed_ms, since_closed_ms;
   int64_t jumped_ms, open_ms;
   bool stuck, film_given, slipped;
   // Counts of a half ms that are given, and where they go to, -1: the finger's.
@@ -111,7 +112,7 @@ struct Checker {
   bool was_seeking, recorded;
   double start_n, most_n;
   // Pressed: counts of the film, as they rise with the force.
-  int32_t film_began, film_least, film_least_late;
+  int32_t film_began, film_least, film_last;
   int32_t films[FILM_SEEN_MS];
 
   // Of a withdrawal.
@@ -119,7 +120,7 @@ struct Checker {
   int64_t trip_net, inward_steps, withdrawing_ms, most_withdrawing_ms;
 
   // The command on the line, and the answers to come, in their order.
-  bool sent;
+  bool sent, was_sent;
   uint8_t format, result, field;
   uint16_t number;
   int64_t values[10];
@@ -144,6 +145,11 @@ static long position_by_pins() { return (long)(c->net - c->zero); }
 
 static bool film_checked() {
   return c->has_limits && (c->limits.film_least || c->limits.film_most <= FILM_FULL_SCALE);
+}
+
+static int32_t pressed_film() {
+  int32_t counts = world.film_halves[0] + world.film_halves[1];
+  return c->limits.options & FILM_FALLS ? -counts : counts;
 }
 
 static int32_t film_share() {
@@ -218,7 +224,7 @@ static uint32_t take(int before, bool outside) {
     if (outside) return refuse(FILM_OUTSIDE, 0);
     c->search = {(uint32_t)c->values[0], (uint32_t)c->values[1], (uint32_t)c->values[2],
                  (uint16_t)c->values[3]};
-    c->life_ms = 0;
+    c->life_ms = c->search_ms = 0;
     c->by_search = c->search.rate;
     return c->search.rate ? 1 << HOMING : 1 << READY;
   case LIMITS:
@@ -279,6 +285,40 @@ static void begin_withdrawal(int64_t before_net, bool leaves, bool is_full) {
   if (!leaves) way = 2.0 * ((double)l.highest - l.lowest);
   double rate = l.withdrawal_rate, ramp_s = (double)l.highest_rate / l.acceleration;
   c->most_withdrawing_ms = (int64_t)fmin(1e12, 1.2e3 * (way / rate + 2 * ramp_s) + 100);
+}
+
+// A board that leaves a state by itself has the cause that it states. Its inputs are a millisecond
+// newer than what is recorded, and another half of the film may have come since.
+static bool is_cause_there(int before) {
+  const Limits &l = c->limits;
+  bool out = c->film_ms;
+  for (uint16_t half : world.film_halves)
+    out |= 2 * half < l.film_least + FILM_NOISE || 2 * half + FILM_NOISE >= l.film_most;
+  int32_t film = pressed_film();
+  int32_t highest = std::max(film, *std::max_element(c->films, c->films + FILM_SEEN_MS));
+  bool homing = before == HOMING || before == ARMED;
+  switch (cause) {
+  case SILENCE:
+    if (before == ARMED && !c->recorded) return c->armed_ms >= ARMED_MS - 1;
+    return c->life_ms >= l.watchdog_ms - 1;
+  case FILM:
+    return out || (homing && film_checked() && abs(film - c->film_last) + FILM_NOISE >= 4 * film_share());
+  case FAULT_PIN:
+    return (l.options & HAS_FAULT_PIN) && pin_fault() == !!(l.options & FAULT_IS_HIGH);
+  case HOME_SWITCH:
+    return before == RUNNING && c->since_closed_ms <= DEBOUNCE_MS &&
+           position_by_pins() > (int64_t)c->search.opening - REACTION_STEPS;
+  case NO_HOME:
+    return homing && c->net <= c->start_net - c->search.distance + 1;
+  case STUCK_SWITCH:
+    return homing && !c->was_seeking && c->net >= c->start_net + c->search.opening - 1;
+  case HOMING_TIMEOUT:
+    return homing && c->search_ms >= c->search.timeout_ms - 1;
+  case PRESSED:
+    return homing && film_checked() && highest + FILM_NOISE >= c->film_least + 4 * film_share();
+  default:
+    return false;
+  }
 }
 
 // A part of the way that a search has gone: only back where it was, only away where it leaves.
@@ -372,6 +412,13 @@ static void check_state(int before, int64_t before_net, uint32_t allowed, bool d
   }
   if (ends && (before == HOMING || (was_withdrawing && c->from_search && !c->leaving)))
     check_rest_after_search();
+  bool by_host = c->was_sent && (c->format == DISARM || c->format == WITHDRAW);
+  if ((begins && after != DISARMED) || (after == FAULT && in(1 << ARMED | 1 << HOMING, before))) {
+    bool is_there = by_host && cause == HOST;
+    if (!is_there && !is_cause_there(before))
+      fail(TRIPS_WITHOUT_CAUSE, "from state %d to %d with cause %d", before, after, cause);
+  }
+  if (after == DISARMED && cause != NONE) fail(TRIPS_WITHOUT_CAUSE, "disarmed by %d", cause);
   if (after != before && in(1 << ARMED | 1 << WITHDRAWN, after)) c->rest_steps = 0;
   if (after == ARMED && before != ARMED) {
     c->armed_ms = 0;
@@ -380,18 +427,13 @@ static void check_state(int before, int64_t before_net, uint32_t allowed, bool d
   }
 }
 
-static int32_t pressed_film() {
-  int32_t counts = world.film_halves[0] + world.film_halves[1];
-  return c->limits.options & FILM_FALLS ? -counts : counts;
-}
-
 // The sketch's reading at a search's begin is that of the last millisecond, or of this one.
 static void begin_search_record() {
   c->start_net = c->least_net = c->net;
   c->start_n = c->most_n = world.mechanics.force_n;
-  int32_t last = c->films[FILM_SEEN_MS - 1], present = pressed_film();
-  c->film_began = std::max(last, present);
-  c->film_least = std::min(last, present);
+  int32_t present = pressed_film();
+  c->film_began = std::max(c->film_last, present);
+  c->film_least = std::min(c->film_last, present);
   c->was_seeking = c->recorded = true;
   std::fill(c->films, c->films + FILM_SEEN_MS, present);
 }
@@ -400,6 +442,7 @@ static void begin_search_record() {
 static void check_inputs() {
   c->life_ms++;
   c->armed_ms++;
+  c->search_ms++;
   const Limits &l = c->limits;
   bool closed = is_closed();
   c->closed_ms = closed ? c->closed_ms + 1 : 0;
@@ -411,8 +454,8 @@ static void check_inputs() {
   c->film_ms = out ? c->film_ms + 1 : 0;
   bool fault = (l.options & HAS_FAULT_PIN) && pin_fault() == !!(l.options & FAULT_IS_HIGH);
   c->fault_ms = fault ? c->fault_ms + 1 : 0;
-  int32_t change = abs(pressed_film() - c->films[FILM_SEEN_MS - 1]);
-  c->jumped_ms = state == HOMING && film_checked() && (c->jumped_ms || change > 4 * film_share() + 8)
+  int32_t change = abs(pressed_film() - c->film_last);
+  c->jumped_ms = state == HOMING && film_checked() && (c->jumped_ms || change > 4 * film_share() + FILM_NOISE)
                      ? c->jumped_ms + 1
                      : 0;
   if (world.hung) return;
@@ -442,7 +485,7 @@ static void check_inputs() {
     c->film_least = std::min(c->film_least, pressed_film());
   }
   memmove(c->films, c->films + 1, sizeof c->films - sizeof *c->films);
-  c->films[FILM_SEEN_MS - 1] = pressed_film();
+  c->films[FILM_SEEN_MS - 1] = c->film_last = pressed_film();
 }
 
 static void check_count() {
@@ -550,10 +593,12 @@ static void pass_checked_loop() {
   uint32_t allowed = 1u << before;
   bool began_search = false, disarm = false;
   uint16_t number = was_sequence;
+  c->was_sent = false;
   if (c->sent && !world.fed.count && !world.received.count) {
     allowed = take(before, was_outside);
     c->sent = false;
     bool taken = c->result == DONE;
+    c->was_sent = taken;
     if (taken) number = c->number;
     disarm = taken && c->format == DISARM;
     began_search = taken && c->format == HOME && c->search.rate;
