@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from display_node.control.controller import StepperController
 from protocol.errors import SourceError
-from protocol.faults import Fault
+from protocol.faults import Fault, Part
 from protocol.faults import FaultKind as Kind
 from pulse_drives.withdrawal import TOUCH_N
 from tests.support.fault_injection import FaultKind, parse_fault
@@ -321,3 +321,21 @@ def test_without_a_film_a_silent_drive_is_named_as_such() -> None:
         bench.run(200)
     (first, *_) = bench.faults
     assert first.startswith("drive: no answer")
+
+
+@pytest.mark.parametrize(("contactor", "trusted"), [("", False), ("another", True)])
+def test_the_film_of_another_contactor_says_nothing_of_this_one(
+    contactor: str, trusted: bool
+) -> None:
+    """A film that is false decides nothing in the withdrawal, and is not shown: its own alone."""
+    with playing(lambda ms: 0.5) as bench:
+        fault = Fault(Kind.FROZEN, Part.FILM, "frozen", bench.world.now_ns, contactor)
+        bench.display.fade.fault(fault)
+        bench.run(5)
+        withdrawal = bench.drive._supervisor.withdrawal
+        assert withdrawal is not None
+        assert withdrawal._film_trusted is trusted
+        bench.run(200)
+        shown = bench.hardware.finger(bench.world.now_ns)
+        assert (shown.force_n is not None) is trusted
+        assert bench.motor.force_n == 0.0
