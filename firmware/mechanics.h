@@ -31,7 +31,7 @@ struct mechanics {
    * film's output whatever the force, in V, or NAN; the switch stuck open 0 or closed 1, or -1. */
   double turns_in, turns_out, film_v, stuck_switch;
   /* State. Steps that the carrier has taken; the tip from first touch. */
-  double steps, step_m, turn_m, tip_m, speed_m_per_s, force_n, root;
+  double steps, step_m, turn_m, tip_m, speed_m_per_s, force_n;
   int64_t lost_steps;
   uint32_t noise;
 };
@@ -63,7 +63,6 @@ static const struct mechanics USUAL_MECHANICS = {
     .tip_m = 0,
     .speed_m_per_s = 0,
     .force_n = 0,
-    .root = 0,
     .lost_steps = 0,
     .noise = 1,
 };
@@ -102,23 +101,22 @@ static inline double *mechanics_setting(struct mechanics *m, const char *name) {
 
 /* Return the force at a depth from first touch: that of tissue, or of rubber on a fingertip, whose
  * indentations add up to the depth. */
-static inline double mechanics_contact_n(struct mechanics *m, double depth_m) {
+static inline double mechanics_contact_n(const struct mechanics *m, double depth_m) {
   if (depth_m <= 0) return 0;
   if (m->knee_n > 0) {
     double depth_mm = 1e3 * depth_m - m->clearance_mm;
     return depth_mm <= 0 ? 0 : m->knee_n * expm1(fmin(depth_mm / m->length_mm, MOST_STIFFENED));
   }
   double rubber = 1 / cbrt(m->hertz * m->hertz), finger = 1 / m->finger_n_per_m;
-  /* The cube root of the force, from where the last search for it has ended. */
-  double root = m->root;
-  if (root <= 0) root = fmin(sqrt(depth_m / rubber), cbrt(depth_m / finger));
-  for (int i = 0; i < 20; i++) {
+  /* The cube root of the force. One term left out, the start is above it, and Newton's method goes
+   * down alone; from below it would leap far beyond. */
+  double root = fmin(sqrt(depth_m / rubber), cbrt(depth_m / finger));
+  for (int i = 0; i < 60; i++) {
     double change = (root * root * (finger * root + rubber) - depth_m) /
                     (root * (3 * finger * root + 2 * rubber));
     root -= change;
-    if (fabs(change) < 1e-12 * root) break;
+    if (change <= 1e-13 * root) break;
   }
-  m->root = root;
   return root * root * root;
 }
 

@@ -5,7 +5,8 @@
  *
  * There is no clock: time passes in host_run alone, at any speed. One board is present; a caller
  * of several keeps the others by host_save, which copies less than 3 kB, and host_restore. State is
- * restored in the process that saved it. What a caller links to it itself is not part of the state.
+ * restored in the process that saved it. What is linked behind end.cpp is not part of it. Run on
+ * Linux; the names that macOS has for a section's ends have not been tried.
  *
  * A millisecond has 32 calls of stepper_tick(). After each 16 the line brings and takes up to 25
  * bytes, as at 500 kbaud, and loop() is called until it has read what has come. So bytes that are

@@ -28,8 +28,14 @@ FIRMWARE = next(
 COMPILERS = ("c++", "g++", "clang++")
 # Overflow wraps and products are rounded as on the AVR.
 OPTIONS = (
-    *("-std=c++20", "-O2", "-fPIC", "-shared", "-fvisibility=hidden"),
-    *("-fwrapv", "-ffp-contract=off"),
+    "-std=c++20",
+    "-O2",
+    "-fPIC",
+    "-shared",
+    "-fvisibility=hidden",
+    "-fwrapv",
+    "-ffp-contract=off",
+    "-DTELEPULSE_HOST",
 )
 # In this order: begin.cpp.
 SOURCES = ("begin.cpp", "host.cpp", "end.cpp")
@@ -58,7 +64,7 @@ def compiled(firmware: Path = FIRMWARE, into: Path | None = None) -> Path:
     """
     if (reason := missing()) is not None:
         raise ProcessError(reason)
-    command = [str(_compiler()), *OPTIONS, "-DTELEPULSE_HOST", f"-I{firmware / 'host'}"]
+    command = [str(_compiler()), *OPTIONS, f"-I{firmware / 'host'}"]
     library = (into or _cache_folder()) / f"board-{_digest(firmware)}.so"
     if library.is_file():
         return library

@@ -54,6 +54,8 @@ class EmulatedBoard:
 
     Attributes
     ----------
+    sketch
+        The running sketch, whose `set` begins faults of film, switch and motor.
     view
         The board after the last millisecond: `host_view` of firmware/host/host.h.
     forces_n
@@ -77,9 +79,9 @@ class EmulatedBoard:
         rigid: bool = False,
     ) -> None:
         settings = _wiring(drive) | _mechanics(drive, stepper, law) | amplifier(film, noise_n)
-        self._sketch = Sketch(rigid=rigid, **settings)
-        self._sketch.power_up()
-        self.view: Any = self._sketch.look()
+        self.sketch = Sketch(rigid=rigid, **settings)
+        self.sketch.power_up()
+        self.view: Any = self.sketch.look()
         self._now_ns = now_ns
         self._sent = bytearray()
         self.forces_n: deque[float] = deque(maxlen=10_000)
@@ -123,20 +125,20 @@ class EmulatedBoard:
 
     def fail(self, fault: MotorFault) -> None:
         """Begin a fault of the motor, until `reset`; the board goes on counting its steps."""
-        self._sketch.set(**FAULTS[fault])
+        self.sketch.set(**FAULTS[fault])
 
     def reset(self) -> None:
         """Clear the motor's fault."""
-        self._sketch.set(**FAULTLESS)
+        self.sketch.set(**FAULTLESS)
 
     def restart(self) -> None:
         """Restart the sketch, as by the reset pin."""
-        self._sketch.reset(RESET_PIN)
+        self.sketch.reset(RESET_PIN)
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes from the host at a time."""
         self.advance(now_ns)
-        self._sketch.feed(data)
+        self.sketch.feed(data)
 
     def advance(self, now_ns: int) -> None:
         """Advance to the present, a millisecond at a time."""
@@ -157,9 +159,9 @@ class EmulatedBoard:
 
     def _pass_ms(self) -> None:
         before_m = self.tip_m
-        self._sketch.run(1)
-        self._sent += self._sketch.take()
-        self.view = self._sketch.look()
+        self.sketch.run(1)
+        self._sent += self.sketch.take()
+        self.view = self.sketch.look()
         self.forces_n.append(self.force_n)
         if self.trace is not None:
             speed_m_per_s = (self.tip_m - before_m) / TICK_S

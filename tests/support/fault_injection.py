@@ -267,10 +267,10 @@ class FaultyBoard(EmulatedBoard):
         while len(self._late_n) > injector.film_delay_ns // TICK_NS:
             read_n = self._late_n.popleft()
         if (ratio, out) != (1.0, 1.0):
-            self._sketch.set(turns_in=ratio, turns_out=out)
+            self.sketch.set(turns_in=ratio, turns_out=out)
         if injector.spoils_film:
             film_v = self._amplifier["film_zero_v"] + self._amplifier["film_v_per_n"] * read_n
-            self._sketch.set(film_v=film_v, film_noise_v=0.0)
+            self.sketch.set(film_v=film_v, film_noise_v=0.0)
         super()._pass_ms()
 
     def _as_read(self, frame: bytes) -> bytes:

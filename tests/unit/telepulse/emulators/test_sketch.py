@@ -26,6 +26,7 @@ LIMITS = BoardLimits(0, 4_000, 10_000_000, 32_000, 500, 13_000, 3_000, 16_000, 5
 SEARCH = HomeSearch(8_000, 6_000, 500, 3_000)
 POWER_UP, RESET_PIN, BROWN_OUT, WATCHDOG = 1, 2, 3, 4
 VELOCITY = 4_800 * 256
+STEP_M = 0.625e-6
 EVERY_RIGID = {"rigid": 1.0, "film_noise_v": 0.0}
 
 
@@ -84,6 +85,23 @@ def test_a_board_presses_and_withdraws_by_itself_when_it_hears_nothing() -> None
     assert view.position - ready.position == sum(given)
     # Nobody takes what it sends.
     assert view.dropped > 0
+
+
+def test_a_tip_that_has_come_to_rest_at_first_touch_presses_on_from_there() -> None:
+    board = started()
+    make_ready(board)
+    for rest_ms in range(40, 400, 9):
+        while abs(depth_m := board.look().tip_m) > 0.2e-6:
+            rate = max(-2_000, min(2_000, -100 * depth_m / STEP_M))
+            send(board, Format.VELOCITY, round(rate * 256), 20)
+            board.run(1)
+        for ms in range(rest_ms + 20):
+            send(board, Format.VELOCITY, 0 if ms < rest_ms else 2_000 * 256, 20)
+            board.run(1)
+            view = board.look()
+            assert view.lost_steps == 0
+            depth_m = (view.force_n / 6.285e6) ** (2 / 3) + view.force_n / 1_000
+            assert depth_m == pytest.approx(max(0.0, view.tip_m), abs=1e-12)
 
 
 def test_boards_of_one_library_do_not_share_their_state() -> None:
