@@ -45,9 +45,9 @@ struct Setting {
 };
 
 enum Rule : int32_t {
-  NO_RULE, BEYOND_HIGHEST, BELOW_LOWEST, MISCOUNTED, MOVES_AT_REST, TURNS_BACK, SEARCHES_TOO_FAR,
-  STAYS_SILENT, FORGOTTEN_ARMED, IGNORES_FILM, IGNORES_JUMP, IGNORES_FAULT_PIN, IGNORES_SWITCH,
-  STALE_SWITCH, TRIPS_WITHOUT_CAUSE, WRONG_TRANSITION,
+  NO_RULE, BEYOND_HIGHEST, BELOW_LOWEST, MISCOUNTED, MOVES_AT_REST, MOVES_UNTOLD, TURNS_BACK,
+  SEARCHES_TOO_FAR, SEARCHES_TOO_LONG, STAYS_SILENT, FORGOTTEN_ARMED, IGNORES_FILM, IGNORES_JUMP,
+  IGNORES_FAULT_PIN, IGNORES_SWITCH, STALE_INPUT, TRIPS_WITHOUT_CAUSE, WRONG_TRANSITION,
   WRONG_ANSWER, NO_ANSWER, WRONG_SEQUENCE, CLAIMS_WITHDRAWN, OFF_WHILE_OUT, LATE_WITHDRAWAL,
   MOTOR_PIN, BACK_WITHOUT_RISE, AWAY_WITHOUT_FALL, SEARCH_PRESSES, SEARCH_LEAVES_PRESSED,
   WRONG_HOME, RESET_WITHOUT_WITHDRAWAL, HANGS
@@ -89,7 +89,7 @@ struct Checker {
   int64_t ms;
 
   // Steps as the sketch counts directions; of home, and of the last time that it was known.
-  int64_t net, zero, kept_zero;
+  int64_t net, zero, kept_zero, last_net;
   bool known, kept_known;
   int64_t rest_steps;
 
@@ -100,8 +100,8 @@ struct Checker {
   Search search;
 
   // Since the last sign of life; since arm; film, fault pin and switch.
-  int64_t life_ms, armed_ms, search_ms, film_ms, fault_ms, closed_ms, since_closed_ms;
-  int64_t jumped_ms, open_ms;
+  int64_t life_ms, valid_ms, armed_ms, search_ms, ended_ms, ready_ms, film_ms, fault_ms, closed_ms, since_closed_ms;
+  int64_t jumped_ms, open_ms, film_ok_ms;
   bool stuck, film_given, slipped;
   // Counts of a half ms that are given, and where they go to, -1: the finger's.
   int32_t film_half, film_goal, film_change;
@@ -217,6 +217,7 @@ static uint32_t take(int before, bool outside) {
     if (!in(TRIP_STATES, before) || c->values[1] < 1 || c->values[1] > 1000)
       return refuse(WRONG_STATE, 0);
     c->life_ms = 0;
+    c->valid_ms = c->values[1];
     return before == READY ? 1 << RUNNING : stay;
   case HOME:
     if (before != ARMED) return refuse(WRONG_STATE, 0);
@@ -306,7 +307,7 @@ static bool is_cause_there(int before) {
   case FAULT_PIN:
     return (l.options & HAS_FAULT_PIN) && pin_fault() == !!(l.options & FAULT_IS_HIGH);
   case HOME_SWITCH:
-    return before == RUNNING && c->since_closed_ms <= DEBOUNCE_MS &&
+    return before == RUNNING && c->since_closed_ms <= DEBOUNCE_MS + 1 &&
            position_by_pins() > (int64_t)c->search.opening - REACTION_STEPS;
   case NO_HOME:
     return homing && c->net <= c->start_net - c->search.distance + 1;
@@ -452,6 +453,10 @@ static void check_inputs() {
   for (uint16_t half : world.film_halves)
     out |= 2 * half < l.film_least || 2 * half >= l.film_most;
   c->film_ms = out ? c->film_ms + 1 : 0;
+  bool ok = !out;
+  for (uint16_t half : world.film_halves)
+    ok &= 2 * half >= l.film_least + FILM_NOISE && 2 * half + FILM_NOISE < l.film_most;
+  c->film_ok_ms = ok ? c->film_ok_ms + 1 : 0;
   bool fault = (l.options & HAS_FAULT_PIN) && pin_fault() == !!(l.options & FAULT_IS_HIGH);
   c->fault_ms = fault ? c->fault_ms + 1 : 0;
   int32_t change = abs(pressed_film() - c->film_last);
@@ -461,7 +466,25 @@ static void check_inputs() {
   if (world.hung) return;
   if (c->jumped_ms > NOTICED_MS) fail(IGNORES_JUMP, "a search goes on after the film's jump");
   if (std::max(c->closed_ms, c->open_ms) > DEBOUNCE_MS + NOTICED_MS && closed != home_closed)
-    fail(STALE_SWITCH, "the switch is %s", closed ? "closed" : "open");
+    fail(STALE_INPUT, "the switch is %s", closed ? "closed" : "open");
+  if (film_outside ? c->film_ok_ms > NOTICED_MS || !c->has_limits
+                   : c->film_ms > NOTICED_MS && c->has_limits)
+    fail(STALE_INPUT, "the film is %s", film_outside ? "inside" : "outside");
+  int64_t steps = c->net - c->last_net;
+  c->last_net = c->net;
+  double ramp_ms = 1e3 / std::max<double>(l.acceleration, 1000);
+  c->ready_ms = state == READY ? c->ready_ms + 1 : 0;
+  if (steps && c->ready_ms > ramp_ms * c->search.rate / 8 + NOTICED_MS)
+    fail(MOVES_UNTOLD, "%ld steps before the first velocity", (long)steps);
+  if (steps && state == RUNNING &&
+      c->life_ms > c->valid_ms + ramp_ms * l.highest_rate + NOTICED_MS)
+    fail(MOVES_UNTOLD, "%ld steps after %ld ms without a velocity", (long)steps, (long)c->life_ms);
+  bool ended = c->was_seeking ? c->net <= c->start_net - c->search.distance
+                              : c->net >= c->start_net + c->search.opening;
+  c->ended_ms = state == HOMING && ended && !closed == c->was_seeking ? c->ended_ms + 1 : 0;
+  if (c->ended_ms > DEBOUNCE_MS + NOTICED_MS ||
+      (state == HOMING && c->search_ms > c->search.timeout_ms + NOTICED_MS))
+    fail(SEARCHES_TOO_LONG, "a search of %ld ms", (long)c->search_ms);
   if (state == ARMED && c->armed_ms > ARMED_MS + NOTICED_MS)
     fail(FORGOTTEN_ARMED, "armed for %ld ms", (long)c->armed_ms);
   if (in(TRIP_STATES, state)) {
@@ -761,7 +784,7 @@ static void play(const Action &action) {
     if (world.ticks < world.held_until) break;
     world.fed.count = 0;
     world.hung = 0;
-    if (v[2]) kept.check ^= 1;
+    if (v[2]) kept.position -= 256;
     host_reset(v[0], v[1]);
     waiting_for_start = before;
     if (!v[1]) check_reset(before, v[0]);

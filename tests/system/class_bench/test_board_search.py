@@ -125,7 +125,7 @@ DEFECTS: dict[str, tuple[str, tuple[Change, ...]]] = {
         (("  // By the new options.\n  take_switch();\n", ""),),
     ),
     "a switch that bounces is stale for 253 ms": (
-        "STALE_SWITCH",
+        "STALE_INPUT",
         (("  home_closed = switch_is_closed();\n  home_changing = 0;\n",
           "  home_closed = switch_is_closed();\n"),),
     ),
@@ -161,7 +161,26 @@ BROKEN: dict[str, tuple[str, tuple[Change, ...]]] = {
         "TRIPS_WITHOUT_CAUSE",
         (("return now_ms - commanded_ms > after_ms;", "return now_ms > commanded_ms + after_ms;"),),
     ),
-    "film": ("IGNORES_FILM", ((" || most >= limits.film_most);", ");"),)),
+    "film": (
+        "IGNORES_FILM",
+        (("if (film_outside || (state == HOMING && trend.jumps(film))) {",
+          "if (state == HOMING && (film_outside || trend.jumps(film))) {"),),
+    ),
+    "ready": (
+        "MOVES_UNTOLD",
+        (("  stepper.wanted = 0;\n  stepper.bound(limits.lowest",
+          "  stepper.bound(limits.lowest"),),
+    ),
+    "validity": (
+        "MOVES_UNTOLD", (("if (watchdog.expires(present_ms)) stepper", "if (false) stepper"),)
+    ),
+    "no switch": ("SEARCHES_TOO_LONG", (("end_search(NO_HOME);", ";"),)),
+    "stuck": ("SEARCHES_TOO_LONG", (("end_search(STUCK_SWITCH);", ";"),)),
+    "timeout": ("SEARCHES_TOO_LONG", (("end_search(HOMING_TIMEOUT);", "seeking = seeking;"),)),
+    "outside": (
+        "STALE_INPUT",
+        (("film_outside = has_limits && (least", "film_outside = has_limits || (least"),),
+    ),
     "early": (
         "TRIPS_WITHOUT_CAUSE",
         (("now_ms - commanded_ms > after_ms;", "now_ms - commanded_ms > after_ms / 2;"),),
