@@ -75,8 +75,8 @@ def _on_fault(happens: Callable[[Any], None]) -> None:
 
     fail = Supervisor.fail
 
-    def failing(supervisor: Any, fault: Any) -> None:
-        fail(supervisor, fault)
+    def failing(supervisor: Any, fault: Any, *arguments: Any, **options: Any) -> None:
+        fail(supervisor, fault, *arguments, **options)
         happens(fault)
 
     Supervisor.fail = failing
