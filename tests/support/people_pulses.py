@@ -14,6 +14,8 @@ References
 .. [2] A. Weissler et al., "Systolic time intervals in heart failure in man", 1968.
 .. [3] J. Wang et al., "Time-domain representation of ventricular-arterial coupling as a windkessel
    and wave system", 2003.
+.. [4] J. Allen, "Photoplethysmography and its application in clinical physiological measurement",
+   2007.
 """
 
 from importlib.util import find_spec
@@ -21,6 +23,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sensing_node.files.formats import open_signals
 from tests.support.drawn_pulses import SCORED_FROM_S, Floats, Pulse, RecordedStretch
@@ -40,13 +43,15 @@ BREATH_WIDTH_HZ: Final = 0.01
 MOVEMENT_HZ: Final = (1.5, 0.7)
 # Least interval between beats, and time in which the heart fills.
 LEAST_S: Final = 0.3
-FILLS_S: Final = 0.3
+FILLS_S: Final = 0.2
 # From a premature ventricular beat's shorter interval, and its stroke over that of a normal beat
 # that has filled as much: its ventricles do not contract together.
 COUPLING: Final = (0.58, 0.7)
 ASYNCHRONY: Final = 0.8
 # Range of a wave over one period, in its deviations.
 RANGE: Final = 2.5
+# Deviation of strokes that follows from nothing, as in recordings.
+SCATTER: Final = 0.02
 # Characteristic impedance of the aorta over the resistance [1]_.
 IMPEDANCE: Final = 0.06
 # Above it a wave is hardly reflected.
@@ -68,8 +73,9 @@ class Rhythm(NamedTuple):
     low: float
     breath: float
     breaths_hz: float = 0.25
-    #: Range of the beats' height within a breath, over the mean height.
-    height: float = 0.08
+    #: Range of the strokes within a breath, over their mean; filling and run-off add to that of the
+    #: pulse's height.
+    strokes: float = 0.06
     #: By how much the rate falls in a minute, and no further.
     falls_bpm: float = 0.0
     #: One beat in so many is premature; 0: none.
@@ -88,6 +94,8 @@ class Artery(NamedTuple):
     delay_s: float = 0.25
     #: Above it the tissue lets little through.
     tissue_hz: float = 8.0
+    #: Deviation of the height by the tone of small arteries, at 0.1 Hz and slower [4]_.
+    tone: float = 0.08
 
 
 class Sensor(NamedTuple):
@@ -111,12 +119,11 @@ class Person(NamedTuple):
     sensor: Sensor
 
 
-class Beats(NamedTuple):
-    """Beats by the time in s at which each ejection begins; intervals to the next in s."""
+class Ejections(NamedTuple):
+    """Ejections of a heart: when each begins and how long it lasts in s, and its volume."""
 
     onsets_s: Floats
-    intervals_s: Floats
-    ejections_s: Floats
+    durations_s: Floats
     #: Over that of a mean beat.
     strokes: Floats
 
@@ -130,16 +137,14 @@ NUNAN: Final = (0.21, 0.26)
 PEOPLE: Final = {
     # SDNN 59 ms and its parts: Task Force 1996, 5 min supine.
     "at rest, 250 Hz": Person(
-        Rhythm(62, 0.059, *TASK_FORCE), Artery(0.6, 0.35, 0.28, 20), Sensor(250, 0.002)
+        Rhythm(62, 0.059, *TASK_FORCE), Artery(0.6, 0.35, 0.28, 20, 0.03), Sensor(250, 0.002)
     ),
     # Mean interval 926 ms, SDNN 50 ms and its parts: Nunan 2010.
-    "at rest, 100 Hz": Person(
-        Rhythm(64.8, 0.050, *NUNAN, height=0.06), Artery(), Sensor(100, 0.005, 400)
-    ),
+    "at rest, 100 Hz": Person(Rhythm(64.8, 0.050, *NUNAN), Artery(), Sensor(100, 0.005, 400)),
     # Least SDNN of healthy groups, 32 ms: Nunan 2010. Early reflection of stiff arteries: W.
     # Nichols, "Clinical measurement of arterial stiffness", 2005.
     "old, 125 Hz": Person(
-        Rhythm(72, 0.032, *NUNAN, height=0.10), Artery(0.4, 0.5, 0.12), Sensor(125, 0.003, 250)
+        Rhythm(72, 0.032, *NUNAN, strokes=0.08), Artery(0.4, 0.5, 0.12), Sensor(125, 0.003, 250)
     ),
     # Greatest SDNN of healthy groups, 93 ms: Nunan 2010.
     "athlete, 50 Hz": Person(
@@ -148,7 +153,7 @@ PEOPLE: Final = {
     # Six breaths a minute join both parts at 0.1 Hz: M. Russo et al., "The physiological effects of
     # slow breathing in the healthy human", 2017.
     "slow breathing, 200 Hz": Person(
-        Rhythm(66, 0.100, 0.05, 0.85, 0.1, height=0.15), Artery(), Sensor(200, 0.002)
+        Rhythm(66, 0.100, 0.05, 0.85, 0.1, strokes=0.03), Artery(tone=0.02), Sensor(200, 0.002)
     ),
     # Fall of more than 12 beats in the first minute: C. Cole et al., "Heart-rate recovery
     # immediately after exercise as a predictor of mortality", 1999.
@@ -158,8 +163,8 @@ PEOPLE: Final = {
     # Height by 17 % with the ventilator, before volume is given: M. Cannesson et al., "Respiratory
     # variations in pulse oximetry plethysmographic waveform amplitude", 2007.
     "ventilated, 125 Hz": Person(
-        Rhythm(88, 0.020, 0.1, 0.7, 0.23, height=0.17),
-        Artery(tissue_hz=20),
+        Rhythm(88, 0.020, 0.1, 0.7, 0.23, strokes=0.12),
+        Artery(tissue_hz=20, tone=0.03),
         Sensor(125, 0.002, 60),
     ),
     # Premature beats with a full compensatory pause; a weak pulse, and a strong one after it.
@@ -175,7 +180,7 @@ PEOPLE: Final = {
     # fibrillation using the coefficient of variation [...] of RR and ΔRR intervals", 2001.
     "fibrillation, 250 Hz": Person(
         Rhythm(80, 0.180, 0.2, 0.1, fibrillation_hz=7),
-        Artery(0.4, 0.45, 0.15, 20),
+        Artery(0.4, 0.45, 0.15, 20, 0.03),
         Sensor(250, 0.003),
     ),
     "fibrillation, fast, 50 Hz": Person(
@@ -183,7 +188,9 @@ PEOPLE: Final = {
     ),
     # 21 to 64 Hz are enough at a wrist: B. Bent, J. Dunn, "Optimizing sampling rate of
     # wrist-worn optical sensors", 2021.
-    "watch, 25 Hz": Person(Rhythm(68, 0.045, *NUNAN), Artery(), Sensor(25, 0.02, drift=0.1)),
+    "watch, 25 Hz": Person(
+        Rhythm(68, 0.045, *NUNAN), Artery(tone=0.15), Sensor(25, 0.02, drift=0.1)
+    ),
     # The baseline wanders by half the height, as of a cuff or a probe that is not coupled by AC.
     "drift, 64 Hz": Person(Rhythm(76, 0.040, *TASK_FORCE), Artery(), Sensor(64, 0.01, drift=0.5)),
     # Samples lost in gaps of 0.1 to 0.5 s, as of a radio link.
@@ -228,62 +235,63 @@ def people_pulses(seconds: float, seed: int) -> list[Pulse]:
     return drawn + _recorded(seconds)
 
 
-def draw_beats(rhythm: Rhythm, seconds: float, rng: np.random.Generator) -> tuple[Beats, Floats]:
-    """Return beats from `LEAD_S` before time 0 on, and the wave of breathing at `WAVE_HZ`."""
+def _ejections(
+    rhythm: Rhythm, seconds: float, rng: np.random.Generator
+) -> tuple[Ejections, Floats]:
+    """Return ejections from `LEAD_S` before time 0 on, and the wave of breathing at `WAVE_HZ`."""
     length_s = seconds + LEAD_S + 5
     breath = _wave(rng, length_s, rhythm.breaths_hz, BREATH_WIDTH_HZ)
-    parts = (_wave(rng, length_s, *LOW_HZ), breath, _wave(rng, length_s, *SLOW_HZ))
-    shares = np.array([rhythm.low, rhythm.breath, 1 - rhythm.low - rhythm.breath])
-    varies_s = np.sqrt(shares) @ np.array(parts)
-    varies_s *= rhythm.sdnn_s / varies_s.std()
-    onset_s, onsets_s, intervals_s = 0.0, [], []
-    while onset_s < length_s - 2.5:
-        falls = rhythm.falls_bpm * float(np.clip((onset_s - LEAD_S) / 60, 0, 1))
-        at = int(onset_s * WAVE_HZ)
-        interval_s = 60 / (rhythm.bpm - falls) + float(varies_s[at])
-        if rhythm.fibrillation_hz:
-            interval_s = _fibrillating(rhythm, float(varies_s[at]), rng)
-        onsets_s.append(onset_s)
-        intervals_s.append(max(LEAST_S, interval_s))
-        onset_s += intervals_s[-1]
-    return _filled(rhythm, np.array(intervals_s), breath, rng), breath
-
-
-def _fibrillating(rhythm: Rhythm, varies_s: float, rng: np.random.Generator) -> float:
-    """Return an interval whose variance is part exponential, part that of the slower rhythm."""
-    exponential_s = 1 / rhythm.fibrillation_hz
-    rest = np.sqrt(1 - (exponential_s / rhythm.sdnn_s) ** 2)
-    return float(60 / rhythm.bpm - exponential_s + rest * varies_s + rng.exponential(exponential_s))
-
-
-def _filled(rhythm: Rhythm, intervals_s: Floats, breath: Floats, rng: np.random.Generator) -> Beats:
-    """Return beats with premature ones, each with the stroke and ejection of what has filled it."""
-    asynchrony = np.ones(len(intervals_s))
-    for first in range(0, len(intervals_s) - rhythm.ectopic, rhythm.ectopic or len(intervals_s)):
-        if not rhythm.ectopic:
-            break
-        beat = first + int(rng.integers(max(1, rhythm.ectopic - 2)))
-        pair_s = float(intervals_s[beat : beat + 2].sum())
-        intervals_s[beat] *= rng.uniform(*COUPLING)
-        intervals_s[beat + 1] = pair_s - intervals_s[beat]
-        asynchrony[beat + 1] = ASYNCHRONY
+    intervals_s = _intervals(rhythm, length_s - 2.5, breath, rng)
+    weak = np.ones(len(intervals_s))
+    if rhythm.ectopic:
+        weak[_make_premature(intervals_s, rhythm.ectopic, rng) + 1] = ASYNCHRONY
     onsets_s = np.concatenate([[0.0], np.cumsum(intervals_s)[:-1]])
     before_s = np.concatenate([intervals_s[:1], intervals_s[:-1]])
-    ejections_s = np.clip(0.413 - 0.0017 * 60 / before_s, 0.16, 0.36)
-    fills = 1 - np.exp(-np.maximum(before_s - ejections_s, 0.03) / FILLS_S)
-    heights = 1 + rhythm.height / RANGE * breath[(onsets_s * WAVE_HZ).astype(int)]
-    return Beats(
-        onsets_s - LEAD_S, intervals_s, ejections_s, asynchrony * heights * fills / fills.mean()
-    )
+    durations_s = np.clip(0.413 - 0.0017 * 60 / before_s, 0.16, 0.36)
+    fills = 1 - np.exp(-np.maximum(before_s - durations_s, 0.03) / FILLS_S)
+    # A quarter of a breath after the intervals: otherwise a stroke would predict its interval.
+    lags = breath[((onsets_s - 0.25 / rhythm.breaths_hz) * WAVE_HZ).astype(int)]
+    heights = 1 + rhythm.strokes / RANGE * lags + SCATTER * rng.standard_normal(len(lags))
+    strokes = weak * heights * fills / fills.mean()
+    return Ejections(onsets_s - LEAD_S, durations_s, strokes), breath
 
 
-def _pressure(beats: Beats, artery: Artery, times_s: Floats) -> Floats:
+def _intervals(rhythm: Rhythm, seconds: float, breath: Floats, rng: np.random.Generator) -> Floats:
+    """Return the intervals between beats, without premature ones."""
+    low, slow = (_wave(rng, len(breath) / WAVE_HZ, *band) for band in (LOW_HZ, SLOW_HZ))
+    slowest = 1 - rhythm.low - rhythm.breath
+    varies = rhythm.low**0.5 * low + rhythm.breath**0.5 * breath + slowest**0.5 * slow
+    varies_s = varies * rhythm.sdnn_s / varies.std()
+    exponential_s = 1 / rhythm.fibrillation_hz if rhythm.fibrillation_hz else 0.0
+    varies_s *= (1 - (exponential_s / rhythm.sdnn_s) ** 2) ** 0.5
+    onset_s, intervals_s = 0.0, []
+    while onset_s < seconds:
+        falls_bpm = rhythm.falls_bpm * min(max(onset_s - LEAD_S, 0) / 60, 1)
+        interval_s = 60 / (rhythm.bpm - falls_bpm) + varies_s[int(onset_s * WAVE_HZ)]
+        interval_s += rng.exponential(exponential_s) - exponential_s
+        intervals_s.append(max(LEAST_S, interval_s))
+        onset_s += intervals_s[-1]
+    return np.array(intervals_s)
+
+
+def _make_premature(intervals_s: Floats, one_in: int, rng: np.random.Generator) -> NDArray[np.int_]:
+    """Shorten one interval in `one_in`, lengthen the next one by as much; return which."""
+    first = np.arange(0, len(intervals_s) - one_in, one_in)
+    short = first + rng.integers(max(1, one_in - 2), size=len(first))
+    earlier_s = intervals_s[short] * (1 - rng.uniform(*COUPLING, len(short)))
+    intervals_s[short] -= earlier_s
+    intervals_s[short + 1] += earlier_s
+    return short
+
+
+def _pressure(ejections: Ejections, artery: Artery, times_s: Floats) -> Floats:
     """Return the pressure at a finger, at times with a spacing of 1 / `DRAWN_HZ`."""
     from scipy.signal import butter, lfilter, sosfilt
 
-    beat = np.searchsorted(beats.onsets_s, times_s, "right") - 1
-    phase = np.clip((times_s - beats.onsets_s[beat]) / beats.ejections_s[beat], 0, 1)
-    flow = beats.strokes[beat] / beats.ejections_s[beat] * 12 * phase * (1 - phase) ** 2
+    beat = np.searchsorted(ejections.onsets_s, times_s, "right") - 1
+    durations_s = ejections.durations_s[beat]
+    phase = np.clip((times_s - ejections.onsets_s[beat]) / durations_s, 0, 1)
+    flow = ejections.strokes[beat] / durations_s * 12 * phase * (1 - phase) ** 2
     falls = np.exp(-1 / (DRAWN_HZ * artery.runoff_s))
     reservoir = lfilter([1 - falls], [1, -falls], flow - flow.mean())
     pressure = reservoir + IMPEDANCE * flow
@@ -296,15 +304,18 @@ def _pressure(beats: Beats, artery: Artery, times_s: Floats) -> Floats:
 def _sensed(name: str, person: Person, seconds: float, rng: np.random.Generator) -> Pulse:
     """Return the pulse of a person as the sensor gives it."""
     sensor = person.sensor
-    beats, breath = draw_beats(person.rhythm, seconds, rng)
+    ejections, breath = _ejections(person.rhythm, seconds, rng)
     drawn_s = np.arange(-round(LEAD_S * DRAWN_HZ), round(seconds * DRAWN_HZ)) / DRAWN_HZ
-    pressure = _pressure(beats, person.artery, drawn_s)
-    height = _height(pressure, beats, drawn_s)
+    pressure = _pressure(ejections, person.artery, drawn_s)
+    height = _height(pressure, ejections.onsets_s, drawn_s)
     times_s = np.arange(0, seconds - 1 / DRAWN_HZ, 1 / sensor.rate_hz)
-    true = np.interp(times_s, drawn_s, pressure) / height
     waves_s = np.arange(len(breath)) / WAVE_HZ - LEAD_S
-    wanders = (breath + _wave(rng, len(breath) / WAVE_HZ, *SLOW_HZ)) / np.sqrt(2)
-    true += sensor.drift * np.interp(times_s, waves_s, wanders)
+    tone, tones, wanders = (
+        _wave(rng, len(breath) / WAVE_HZ, *band) for band in (LOW_HZ, SLOW_HZ, SLOW_HZ)
+    )
+    tone = 1 + person.artery.tone / np.sqrt(2) * np.interp(times_s, waves_s, tone + tones)
+    true = np.interp(times_s, drawn_s, pressure) / height * tone
+    true += sensor.drift / np.sqrt(2) * np.interp(times_s, waves_s, breath + wanders)
     if sensor.movement:
         moves = _wave(rng, len(breath) / WAVE_HZ, *MOVEMENT_HZ)
         moves = np.interp(times_s, waves_s, moves)
@@ -314,18 +325,16 @@ def _sensed(name: str, person: Person, seconds: float, rng: np.random.Generator)
         sensed = np.round(sensed * sensor.steps) / sensor.steps
     if sensor.gaps:
         sensed[_bursts(times_s, GAPS_EVERY_S, GAP_S, rng) > 0] = np.nan
-    scored = true[times_s >= SCORED_FROM_S] if seconds > SCORED_FROM_S else true
-    frame = max(1, round(FRAME_S * sensor.rate_hz))
-    level, scale = scored.mean(), scored.std()
-    return Pulse(name, (sensed - level) / scale, (true - level) / scale, sensor.rate_hz, frame)
+    level, scale = _moments(true, sensor.rate_hz)
+    sensed, true = (sensed - level) / scale, (true - level) / scale
+    return Pulse(name, sensed, true, sensor.rate_hz, _frame(sensor.rate_hz))
 
 
-def _height(pressure: Floats, beats: Beats, times_s: Floats) -> float:
-    """Return the mean height of the beats from time 0 on."""
-    within = (beats.onsets_s >= 0) & (beats.onsets_s < times_s[-1])
-    begins = np.searchsorted(times_s, beats.onsets_s[within])
-    heights = np.maximum.reduceat(pressure, begins) - np.minimum.reduceat(pressure, begins)
-    return float(heights[:-1].mean())
+def _height(pressure: Floats, onsets_s: Floats, times_s: Floats) -> float:
+    """Return the mean rise of the beats from time 0 on."""
+    begins = np.searchsorted(times_s, onsets_s[(onsets_s >= 0) & (onsets_s < times_s[-1])])
+    rises = np.maximum.reduceat(pressure, begins) - pressure[begins]
+    return float(rises[:-1].mean())
 
 
 def _wave(rng: np.random.Generator, length_s: float, centre_hz: float, width_hz: float) -> Floats:
@@ -356,15 +365,23 @@ def _recorded(seconds: float) -> list[Pulse]:
     package = find_spec("heartpy")
     if package is None or package.origin is None:
         return []
-    pulses = []
-    for name, stretch in RECORDED.items():
-        path = Path(package.origin).parent / "data" / stretch.file
-        recorded = open_signals(path).load((stretch.column,))[0].values
-        first = round(stretch.from_s * stretch.rate_hz)
-        values = recorded[first : first + round(seconds * stretch.rate_hz)]
-        scored = (
-            values[round(SCORED_FROM_S * stretch.rate_hz) :] if seconds > SCORED_FROM_S else values
-        )
-        values = (values - scored.mean()) / scored.std()
-        pulses.append(Pulse(name, values, values, stretch.rate_hz, 1))
+    folder, columns, pulses = Path(package.origin).parent / "data", {}, []
+    for name, (file, column, rate_hz, from_s) in RECORDED.items():
+        if file not in columns:
+            columns[file] = open_signals(folder / file).load((column,))[0].values
+        values = columns[file][round(from_s * rate_hz) :][: round(seconds * rate_hz)]
+        level, scale = _moments(values, rate_hz)
+        values = (values - level) / scale
+        pulses.append(Pulse(name, values, values, rate_hz, _frame(rate_hz)))
     return pulses
+
+
+def _frame(rate_hz: float) -> int:
+    return max(1, round(FRAME_S * rate_hz))
+
+
+def _moments(values: Floats, rate_hz: float) -> tuple[float, float]:
+    """Return mean and deviation where errors are counted; of all, if it ends before."""
+    first = round(SCORED_FROM_S * rate_hz)
+    scored = values[first:] if first < len(values) else values
+    return float(scored.mean()), float(scored.std())
