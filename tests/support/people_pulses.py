@@ -63,15 +63,20 @@ GAP_S: Final = (0.1, 0.5)
 GAPS_EVERY_S: Final = 10.0
 
 
+class Shares(NamedTuple):
+    """Shares of the intervals' variance at 0.1 Hz and with breathing; the rest is slower."""
+
+    low: float
+    breath: float
+
+
 class Rhythm(NamedTuple):
     """Rhythm of a heart."""
 
     bpm: float
     #: Standard deviation of the intervals between normal beats.
     sdnn_s: float
-    #: Shares of their variance at 0.1 Hz and with breathing; the rest is slower.
-    low: float
-    breath: float
+    shares: Shares
     breaths_hz: float = 0.25
     #: Range of the strokes within a breath, over their mean; filling and run-off add to that of the
     #: pulse's height.
@@ -131,76 +136,96 @@ class Ejections(NamedTuple):
 # Shares of the variance (LF, HF) at rest: 1170 and 975 of 3466 ms², Task Force of the ESC and the
 # NASPE, "Heart rate variability", 1996; and 519 and 657 of 50² ms², D. Nunan et al., "A
 # quantitative systematic review of normal values for short-term heart rate variability", 2010.
-TASK_FORCE: Final = (0.34, 0.28)
-NUNAN: Final = (0.21, 0.26)
+TASK_FORCE: Final = Shares(low=0.34, breath=0.28)
+NUNAN: Final = Shares(low=0.21, breath=0.26)
 
 PEOPLE: Final = {
     # SDNN 59 ms and its parts: Task Force 1996, 5 min supine.
     "at rest, 250 Hz": Person(
-        Rhythm(62, 0.059, *TASK_FORCE), Artery(0.6, 0.35, 0.28, 20, 0.03), Sensor(250, 0.002)
+        Rhythm(62, 0.059, TASK_FORCE),
+        Artery(runoff_s=0.6, delay_s=0.28, tissue_hz=20, tone=0.03),
+        Sensor(250, noise=0.002),
     ),
     # Mean interval 926 ms, SDNN 50 ms and its parts: Nunan 2010.
-    "at rest, 100 Hz": Person(Rhythm(64.8, 0.050, *NUNAN), Artery(), Sensor(100, 0.005, 400)),
+    "at rest, 100 Hz": Person(
+        Rhythm(64.8, 0.050, NUNAN), Artery(), Sensor(100, noise=0.005, steps=400)
+    ),
     # Least SDNN of healthy groups, 32 ms: Nunan 2010. Early reflection of stiff arteries: W.
     # Nichols, "Clinical measurement of arterial stiffness", 2005.
     "old, 125 Hz": Person(
-        Rhythm(72, 0.032, *NUNAN, strokes=0.08), Artery(0.4, 0.5, 0.12), Sensor(125, 0.003, 250)
+        Rhythm(72, 0.032, NUNAN, strokes=0.08),
+        Artery(runoff_s=0.4, reflected=0.5, delay_s=0.12),
+        Sensor(125, noise=0.003, steps=250),
     ),
     # Greatest SDNN of healthy groups, 93 ms: Nunan 2010.
     "athlete, 50 Hz": Person(
-        Rhythm(52, 0.093, 0.25, 0.55, 0.22), Artery(0.7, 0.3, 0.3), Sensor(50, 0.005, 500)
+        Rhythm(52, 0.093, Shares(0.25, 0.55), breaths_hz=0.22),
+        Artery(runoff_s=0.7, reflected=0.3, delay_s=0.3),
+        Sensor(50, noise=0.005, steps=500),
     ),
     # Six breaths a minute join both parts at 0.1 Hz: M. Russo et al., "The physiological effects of
     # slow breathing in the healthy human", 2017.
     "slow breathing, 200 Hz": Person(
-        Rhythm(66, 0.100, 0.05, 0.85, 0.1, strokes=0.03), Artery(tone=0.02), Sensor(200, 0.002)
+        Rhythm(66, 0.100, Shares(0.05, 0.85), breaths_hz=0.1, strokes=0.03),
+        Artery(tone=0.02),
+        Sensor(200, noise=0.002),
     ),
     # Fall of more than 12 beats in the first minute: C. Cole et al., "Heart-rate recovery
     # immediately after exercise as a predictor of mortality", 1999.
     "after exercise, 100 Hz": Person(
-        Rhythm(128, 0.020, *TASK_FORCE, 0.4, falls_bpm=25), Artery(0.4), Sensor(100, 0.01)
+        Rhythm(128, 0.020, TASK_FORCE, breaths_hz=0.4, falls_bpm=25),
+        Artery(runoff_s=0.4),
+        Sensor(100, noise=0.01),
     ),
     # Height by 17 % with the ventilator, before volume is given: M. Cannesson et al., "Respiratory
     # variations in pulse oximetry plethysmographic waveform amplitude", 2007.
     "ventilated, 125 Hz": Person(
-        Rhythm(88, 0.020, 0.1, 0.7, 0.23, strokes=0.12),
+        Rhythm(88, 0.020, Shares(0.1, 0.7), breaths_hz=0.23, strokes=0.12),
         Artery(tissue_hz=20, tone=0.03),
-        Sensor(125, 0.002, 60),
+        Sensor(125, noise=0.002, steps=60),
     ),
     # Premature beats with a full compensatory pause; a weak pulse, and a strong one after it.
     "ectopic, 125 Hz": Person(
-        Rhythm(70, 0.040, *TASK_FORCE, ectopic=12), Artery(), Sensor(125, 0.005, 250)
+        Rhythm(70, 0.040, TASK_FORCE, ectopic=12), Artery(), Sensor(125, noise=0.005, steps=250)
     ),
     "trigeminy, 100 Hz": Person(
-        Rhythm(74, 0.025, *NUNAN, ectopic=3), Artery(0.4, 0.45, 0.16), Sensor(100, 0.005)
+        Rhythm(74, 0.025, NUNAN, ectopic=3),
+        Artery(runoff_s=0.4, reflected=0.45, delay_s=0.16),
+        Sensor(100, noise=0.005),
     ),
     # An exponential time at 3 to 12 Hz, and a correlated one: T. Hennig et al., "Exponential
     # distribution of long heart beat intervals during atrial fibrillation", 2006. Together a
     # coefficient of variation of 0.24: K. Tateno, L. Glass, "Automatic detection of atrial
     # fibrillation using the coefficient of variation [...] of RR and ΔRR intervals", 2001.
     "fibrillation, 250 Hz": Person(
-        Rhythm(80, 0.180, 0.2, 0.1, fibrillation_hz=7),
-        Artery(0.4, 0.45, 0.15, 20, 0.03),
-        Sensor(250, 0.003),
+        Rhythm(80, 0.180, Shares(0.2, 0.1), fibrillation_hz=7),
+        Artery(runoff_s=0.4, reflected=0.45, delay_s=0.15, tissue_hz=20, tone=0.03),
+        Sensor(250, noise=0.003),
     ),
     "fibrillation, fast, 50 Hz": Person(
-        Rhythm(112, 0.129, 0.2, 0.1, fibrillation_hz=10), Artery(0.4), Sensor(50, 0.01)
+        Rhythm(112, 0.129, Shares(0.2, 0.1), fibrillation_hz=10),
+        Artery(runoff_s=0.4),
+        Sensor(50, noise=0.01),
     ),
     # 21 to 64 Hz are enough at a wrist: B. Bent, J. Dunn, "Optimizing sampling rate of
     # wrist-worn optical sensors", 2021.
     "watch, 25 Hz": Person(
-        Rhythm(68, 0.045, *NUNAN), Artery(tone=0.15), Sensor(25, 0.02, drift=0.1)
+        Rhythm(68, 0.045, NUNAN, strokes=0.08), Artery(tone=0.15), Sensor(25, noise=0.02, drift=0.1)
     ),
     # The baseline wanders by half the height, as of a cuff or a probe that is not coupled by AC.
-    "drift, 64 Hz": Person(Rhythm(76, 0.040, *TASK_FORCE), Artery(), Sensor(64, 0.01, drift=0.5)),
+    "drift, 64 Hz": Person(
+        Rhythm(76, 0.040, TASK_FORCE), Artery(), Sensor(64, noise=0.01, drift=0.5)
+    ),
     # Samples lost in gaps of 0.1 to 0.5 s, as of a radio link.
-    "gaps, 100 Hz": Person(Rhythm(70, 0.050, *NUNAN), Artery(), Sensor(100, 0.005, gaps=True)),
+    "gaps, 100 Hz": Person(Rhythm(70, 0.050, NUNAN), Artery(), Sensor(100, noise=0.005, gaps=True)),
     # Movement is of the band of the pulse, 0.1 to 10 Hz: it is felt, and belongs to the truth.
     "movement, 50 Hz": Person(
-        Rhythm(78, 0.045, *NUNAN), Artery(), Sensor(50, 0.01, 100, movement=0.4)
+        Rhythm(78, 0.045, NUNAN), Artery(), Sensor(50, noise=0.01, steps=100, movement=0.4)
     ),
     # A converter of 8 bits, of which a beat takes 20 steps.
-    "coarse steps, 75 Hz": Person(Rhythm(66, 0.050, *NUNAN), Artery(), Sensor(75, 0.001, 20)),
+    "coarse steps, 75 Hz": Person(
+        Rhythm(66, 0.050, NUNAN), Artery(), Sensor(75, noise=0.001, steps=20)
+    ),
 }
 RECORDED: Final = {
     "recorded, at rest, 100 Hz": RecordedStretch("data.csv", 0, 100.0, 0.0),
@@ -247,6 +272,7 @@ def _ejections(
         weak[_make_premature(intervals_s, rhythm.ectopic, rng) + 1] = ASYNCHRONY
     onsets_s = np.concatenate([[0.0], np.cumsum(intervals_s)[:-1]])
     before_s = np.concatenate([intervals_s[:1], intervals_s[:-1]])
+    # In men, by the rate of the heart [2]_.
     durations_s = np.clip(0.413 - 0.0017 * 60 / before_s, 0.16, 0.36)
     fills = 1 - np.exp(-np.maximum(before_s - durations_s, 0.03) / FILLS_S)
     # A quarter of a breath after the intervals: otherwise a stroke would predict its interval.
@@ -259,8 +285,9 @@ def _ejections(
 def _intervals(rhythm: Rhythm, seconds: float, breath: Floats, rng: np.random.Generator) -> Floats:
     """Return the intervals between beats, without premature ones."""
     low, slow = (_wave(rng, len(breath) / WAVE_HZ, *band) for band in (LOW_HZ, SLOW_HZ))
-    slowest = 1 - rhythm.low - rhythm.breath
-    varies = rhythm.low**0.5 * low + rhythm.breath**0.5 * breath + slowest**0.5 * slow
+    shares = rhythm.shares
+    varies = shares.low**0.5 * low + shares.breath**0.5 * breath
+    varies += (1 - shares.low - shares.breath) ** 0.5 * slow
     varies_s = varies * rhythm.sdnn_s / varies.std()
     exponential_s = 1 / rhythm.fibrillation_hz if rhythm.fibrillation_hz else 0.0
     varies_s *= (1 - (exponential_s / rhythm.sdnn_s) ** 2) ** 0.5
