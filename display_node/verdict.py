@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from display_node.scoring.tracking_error import JND
 from protocol.cli_options import fault_status, sum_up
 from protocol.faults import texts_by_node
 from protocol.provenance import Provenance
 from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.fields import Limits, Summary
+from protocol.tactile import JND
 
 MOST_LINES = 6
 # Exit status of a run that is not valid and latched no fault.

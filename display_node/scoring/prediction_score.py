@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from display_node.scoring.tracking_error import JND
 from protocol.summary.fields import Compensation
+from protocol.tactile import JND
 from protocol.wire.messages import ChannelSamples
 
 # Predicted ticks that wait for their samples: 4 s at 1 kHz. Later samples are not scored.

@@ -11,11 +11,11 @@ import rich.box
 import typer
 from rich.table import Table
 
-from display_node.scoring.tracking_error import JND
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError
 from protocol.host.output import check_writable, configure_logging, write_whole
+from protocol.tactile import JND
 from sensing_node.scene import load_sensing
 from telepulse.cli.options import PROGRAM, SeedOption, TablesOption
 from telepulse.cli.progress import SimulationProgress

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from display_node.prediction import Predictor, PredictorName, build_predictors
 from display_node.prediction.r_waves import RWaveDetector
 from display_node.prediction.scene import own_predictor
-from display_node.scoring.tracking_error import JND
+from display_node.prediction.trust import DelayChoice
 from protocol.errors import SourceError
-from protocol.tactile import matching_force_ratio
+from protocol.tactile import JND, matching_force_ratio
 from protocol.ticks import TickState
 from sensing_node.scene import build_source, describe_stream
 from sensing_node.sources.recorded import beat_height
@@ -27,9 +27,9 @@ AHEAD_MS: Final = (20, 50, 100, 150, 200)
 PREDICTOR: Final[PredictorName] = "stack"
 # Name, predictor and E in ns of each playout; None chooses E. Nothing trusts `linear`, so that
 # with it E covers the link's whole delay.
-PLAYOUTS: Final[tuple[tuple[str, PredictorName, int | None], ...]] = (
-    ("buffered", "linear", None),
-    ('E = "auto"', PREDICTOR, None),
+PLAYOUTS: Final[tuple[tuple[str, PredictorName, int | DelayChoice], ...]] = (
+    ("buffered", "linear", "auto"),
+    ('E = "auto"', PREDICTOR, "auto"),
     ("E = 0", PREDICTOR, 0),
 )
 

@@ -43,7 +43,7 @@ def scene(
         table = {"path": str(folder / "pulse.npy"), "rate": "1 kHz", "unit": "N", "repeat": "once"}
         source = RecordingScene.model_validate({"kind": "recording", **table})
         sensing = sensing.model_copy(update={"source": source})
-    compensation_ns = None if compensation_ms is None else compensation_ms * MS
+    compensation_ns = "auto" if compensation_ms is None else compensation_ms * MS
     changes = {
         "predictor": own_predictor(predictor),
         "compensation_ns": compensation_ns,

@@ -1,0 +1,176 @@
+"""Errors to expect of predicted paths, measured on the last paths once their values have come."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from display_node.prediction.expert import HORIZONS, Floats
+from display_node.prediction.kernels import CUBE, FLOATS, TABLE, kernel
+from protocol.tactile import JND
+
+# Distance of horizons, and of delays.
+STEP_NS: Final = 10_000_000
+# Delays E after which the pulse is compared with the present one, in steps of 10 ms from 0 on.
+DELAYS: Final = 26
+# Steps for which paths are kept: beyond the longest horizon and the longest delay together.
+KEPT: Final = 64
+# Steps whose errors are kept, for those of the last beat: above the longest number of them.
+ERRORS: Final = 256
+# Errors are expected by those of the last 20 s.
+MEMORY_STEPS: Final = 2_000
+# The memory grows by a fifth of a step a step, so that errors of the time before the predictor had
+# learnt are soon forgotten.
+FIRST_STEPS: Final = 50
+# Errors during an artefact are remembered for 1 s.
+ARTEFACT_STEPS: Final = 100
+# A squared error, in units of the signal's variance, counts as at most this.
+WORST: Final = 1e4
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedErrors:
+    """Errors to expect of a channel's prediction, at horizons of 10, 20, … 250 ms.
+
+    Attributes
+    ----------
+    squares_n2 : ndarray, shape (25,)
+        Squared errors of the prediction, in N², over the last beat.
+    in_phase_n2 : ndarray, shape (26, 26)
+        Expected squared errors in N² of a force that is predicted over a horizon and felt after a
+        delay, against the pulse at that time. By horizon from 0, which is a received force, and by
+        delay from 0, in steps of 10 ms.
+    noticed : ndarray, shape (26,)
+        Expected share of the time in which the prediction is wrong by more than a finger notices,
+        by horizon from 0.
+    height_n : float
+        Height of the pulse from foot to peak.
+    """
+
+    squares_n2: Floats
+    in_phase_n2: Floats
+    noticed: Floats
+    height_n: float
+
+
+@kernel(
+    f"void({CUBE}, {CUBE}, {TABLE}, {TABLE}, {CUBE}, {TABLE}, int64, {FLOATS}, {TABLE}, {FLOATS},"
+    f" float64, boolean)"
+)
+def add_errors(
+    paths: Floats,
+    in_phase: Floats,
+    noticed: Floats,
+    disturbed: Floats,
+    sums: Floats,
+    values: Floats,
+    steps: int,
+    newest: Floats,
+    made: Floats,
+    noticeable: Floats,
+    keep: float,
+    artefact: bool,
+) -> None:
+    """Judge the last paths by the newest values, and store new paths.
+
+    paths: shape (channels, KEPT, 25), by step and horizon. in_phase: shape (channels, 26, 26).
+    noticed, disturbed: shape (channels, 26). sums: of the squared errors so far, shape (channels,
+    ERRORS, 26). values: the last newest values, shape (channels, KEPT). steps: number so far.
+    noticeable: least squared difference of each channel that a finger notices. keep: weight of the
+    newest errors.
+    """
+    fade = 1.0 - 1.0 / ARTEFACT_STEPS
+    before, after = steps % ERRORS, (steps + 1) % ERRORS
+    for channel in range(len(paths)):
+        value = newest[channel]
+        for horizon in range(HORIZONS + 1):
+            sums[channel, after, horizon] = sums[channel, before, horizon]
+            for delay in range(DELAYS):
+                ago = horizon + delay
+                if ago > steps or ago == 0:
+                    continue
+                place = (steps - ago) % KEPT
+                if horizon == 0:
+                    felt = values[channel, place]
+                else:
+                    felt = paths[channel, place, horizon - 1]
+                square = (value - felt) ** 2
+                # An error that is no number is the worst, too.
+                square = square if square < WORST else WORST
+                if delay == 0:
+                    over = 1.0 if square > noticeable[channel] else 0.0
+                    sums[channel, after, horizon] += square
+                    disturbed[channel, horizon] *= fade
+                    if artefact:
+                        disturbed[channel, horizon] += (1.0 - fade) * over
+                    else:
+                        noticed[channel, horizon] += keep * (over - noticed[channel, horizon])
+                if not artefact:
+                    in_phase[channel, horizon, delay] += keep * (
+                        square - in_phase[channel, horizon, delay]
+                    )
+        values[channel, steps % KEPT] = value
+        paths[channel, steps % KEPT] = made[channel]
+
+
+class PathErrors:
+    """Errors to expect of the paths of each channel, learnt from the last ones."""
+
+    def __init__(self, channels: int) -> None:
+        self._paths = np.zeros((channels, KEPT, HORIZONS))
+        self._values = np.zeros((channels, KEPT))
+        self._in_phase = np.zeros((channels, HORIZONS + 1, DELAYS))
+        self._noticed, self._disturbed = np.zeros((2, channels, HORIZONS + 1))
+        self._sums = np.zeros((channels, ERRORS, HORIZONS + 1))
+        self._heights, self._noticeable = np.zeros((2, channels))
+        self._steps = 0
+
+    def add(self, newest: Floats, paths: Floats, heights: Floats, artefact: bool = False) -> None:
+        """Judge the last paths by the newest values, and store new ones. Call it every 10 ms.
+
+        Parameters
+        ----------
+        newest : ndarray, shape (channels,)
+            Newest value of each channel.
+        paths : ndarray, shape (channels, 25)
+            Predicted values 10, 20, … 250 ms later.
+        heights : ndarray, shape (channels,)
+            Height of the pulse from foot to peak.
+        artefact
+            Whether the values are those of an artefact, which is soon forgotten.
+        """
+        self._heights[:] = heights
+        np.square(JND * heights, out=self._noticeable)
+        memory = min(MEMORY_STEPS, FIRST_STEPS + self._steps / 5)
+        add_errors(
+            self._paths,
+            self._in_phase,
+            self._noticed,
+            self._disturbed,
+            self._sums,
+            self._values,
+            self._steps,
+            newest,
+            paths,
+            self._noticeable,
+            1.0 / memory,
+            artefact,
+        )
+        self._steps += 1
+
+    def expected(self, channel: int, scale: float, steps: int) -> ExpectedErrors | None:
+        """Return the errors to expect of a channel; None before all horizons were judged.
+
+        scale: force in N of a difference of 1. steps: number of the last ones that count as the
+        last beat, below `ERRORS`.
+        """
+        if self._steps < HORIZONS + max(DELAYS, steps):
+            return None
+        squares, sums = scale * scale, self._sums[channel]
+        lately = sums[self._steps % ERRORS] - sums[(self._steps - steps) % ERRORS]
+        return ExpectedErrors(
+            squares / steps * np.maximum(lately[1:], 0.0),
+            squares * self._in_phase[channel],
+            np.maximum(self._noticed[channel], self._disturbed[channel]),
+            scale * self._heights.item(channel),
+        )
