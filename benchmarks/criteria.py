@@ -90,7 +90,7 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
     # Errors are over the pulse's peak to peak.
     "loop": (
         Criterion("change of the reference on halving its step", most=1e-10),
-        share("error of the display's own way at the scene's tick, following the pulse", most=1e-3),
+        share("error of the display's own way at 1 ms, following the pulse", most=1e-3),
         Criterion("hard cases that are unbounded", most=0),
     ),
     # In the units of their names.

@@ -7,8 +7,7 @@ screw. A loop begins at rest, out of touch, and catches up with the pulse.
 
 import math
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
 from operator import mul
 from typing import Final, NamedTuple
@@ -33,22 +32,24 @@ SCENES: Final = ("paper", "radial", "real_bench")
 # Advances a tick: takes the wanted force from two ticks ago to two ticks ahead, in N, and returns
 # the felt force at the tick's end.
 Step = Callable[[list[float]], float]
+# A step, and the time in s by which its wanted force must be earlier.
+Method = tuple[Step, float]
 REACH: Final = 2
-TICKS_S: Final = (0.25e-3, 0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3)
+FINEST_S: Final = 0.25e-3
+TICKS_S: Final = (FINEST_S, 0.5e-3, 1e-3, 2e-3, 5e-3, 10e-3)
+# The tick at which the cost is shown.
+USUAL_S: Final = 1e-3
 SECONDS: Final = 1.6
 # From first touch until the force is at the pulse.
 CATCHING_UP_S: Final = 0.2
 # Pulse before the first tick and after the last, for differences and leads.
 MARGIN_S: Final = 0.1
 REFERENCE_RTOL: Final = 1e-12
-# A force beyond this many newtons, four times the fault's, has diverged.
+# A force beyond this, four times that of the fault, has diverged.
 DIVERGED_N: Final = 10.0
-# Finer than any force that is compared.
-MICROSTEPS: Final = 1 << 40
 
 
-@dataclass(frozen=True)
-class ContinuousLoop:
+class ContinuousLoop(NamedTuple):
     """The loop of a scene between its limits: z' = a z + b u, and the output is out · (z, u).
 
     Attributes
@@ -81,7 +82,7 @@ class ContinuousLoop:
         slope, bend = (after - before) / (2 * tick_s), (after - 2 * now + before) / tick_s**2
         return now + slope_s * slope + bend_s2 * bend
 
-    def force(self, state: Sequence[float], u: float) -> float:
+    def force(self, state: list[float], u: float) -> float:
         """Return the felt force in N of a state under an input."""
         return self.law.force(sum(map(mul, self.out, [*state, u])))
 
@@ -91,22 +92,17 @@ def continuous_loop(name: str) -> ContinuousLoop:
     scene = load_scene(name)
     display, source = scene.display, scene.sensing.source
     assert isinstance(source, SyntheticScene)
-    plain = source.model_copy(update={"rate_hz": 1 / TICKS_S[0], "noise_n": 0.0})
-    pulse_n = SyntheticSource(plain).take(round((SECONDS + 2 * MARGIN_S) / TICKS_S[0]))[:, 0]
-    spline = make_interp_spline(TICKS_S[0] * np.arange(len(pulse_n)) - MARGIN_S, pulse_n, 5)
+    pulse = SyntheticSource(source.model_copy(update={"rate_hz": 1 / FINEST_S, "noise_n": 0.0}))
+    pulse_n = pulse.take(round((SECONDS + 2 * MARGIN_S) / FINEST_S))[:, 0]
     gains, actuator = display.controller, display.actuator
-    endless = {"slew_limit_n_per_s": math.inf, "force_limit_n": DIVERGED_N}
     changes = {
         "controller": gains.model_copy(update={"dead_band": 0.0}),
-        "safety": display.safety.model_copy(update=endless),
+        "safety": display.safety.model_copy(update={"slew_limit_n_per_s": math.inf}),
     }
     if isinstance(actuator, SecondOrderScene):
-        m, c, k = actuator.m, actuator.c, actuator.k
-        kp, ki, kd = (
-            display.film.millivolts_per_newton * g for g in (gains.kp, gains.ki, gains.kd)
-        )
-        rate = 2 * math.pi * gains.derivative_filter_hz
-        kd *= rate
+        m, c, k, rate = actuator.m, actuator.c, actuator.k, 2 * math.pi * gains.derivative_filter_hz
+        factors = gains.kp, gains.ki, gains.kd * rate
+        kp, ki, kd = (display.film.millivolts_per_newton * factor for factor in factors)
         # Force, its rate, the integral of the error, and the filtered error.
         a = [
             [0, 1, 0, 0],
@@ -115,27 +111,37 @@ def continuous_loop(name: str) -> ContinuousLoop:
             [-rate, 0, 0, -rate],
         ]
         b = [0, (kp + kd) / m, 1, rate]
-        parts = [1.0, 0, 0, 0, 0], (0.0, 0.0), [0.0, 0, 0, 1]
+        out, inverse, first = [1.0, 0, 0, 0, 0], (0.0, 0.0), [0.0, 0, 0, 1]
         law: ContactLaw = LinearContact(1.0)
     else:
         assert isinstance(actuator, StepperScene)
         law = actuator.contact(display.layer.layer())
-        a, b, parts = [[-gains.kp]], [0], ([1.0, 1.0], (0.0, 0.0), [-1.0])
+        a, b, out, inverse, first = [[-gains.kp]], [0], [1.0, 1.0], (0.0, 0.0), [-1.0]
         if (hz := actuator.rotor_resonance_hz) is not None:
             w, damping = 2 * math.pi * hz, actuator.rotor_damping
             # The screw's error, the rotor and its speed.
             a = [[-gains.kp, 0, 0], [0, 0, 1], [w * w, -w * w, -2 * damping * w]]
             b = [0, 0, w * w]
-            parts = [0.0, 1, 0, 0], (2 * damping / w, 1 / w**2), [-1.0, 0, 0]
-        unlimited = {
-            "microsteps": MICROSTEPS,
-            "backlash_m": 0.0,
-            "max_speed_m_per_s": math.inf,
-            "max_acceleration_m_per_s2": math.inf,
-        }
-        changes["actuator"] = actuator.model_copy(update=unlimited)
-    display = display.model_copy(update=changes)
-    return ContinuousLoop(display, spline, law, np.array(a, float), np.array(b, float), *parts)
+            out, inverse, first = [0.0, 1, 0, 0], (2 * damping / w, 1 / w**2), [-1.0, 0, 0]
+        changes["actuator"] = actuator.model_copy(
+            update={
+                # Finer than any force that is compared.
+                "microsteps": 1 << 40,
+                "backlash_m": 0.0,
+                "max_speed_m_per_s": math.inf,
+                "max_acceleration_m_per_s2": math.inf,
+            }
+        )
+    return ContinuousLoop(
+        display=display.model_copy(update=changes),
+        pulse_n=make_interp_spline(FINEST_S * np.arange(len(pulse_n)) - MARGIN_S, pulse_n, 5),
+        law=law,
+        a=np.array(a, float),
+        b=np.array(b, float),
+        out=out,
+        inverse=inverse,
+        first=first,
+    )
 
 
 def reference_n(loop: ContinuousLoop, longest_s: float) -> Array:
@@ -145,15 +151,13 @@ def reference_n(loop: ContinuousLoop, longest_s: float) -> Array:
     """
     at_s = np.unique(loop.pulse_n.t)
     wanted = make_interp_spline(at_s, [*map(loop.law.position, loop.pulse_n(at_s))], 5)
-    slope_s, bend_s2 = loop.inverse
-    fed = wanted(at_s) + slope_s * wanted(at_s, 1) + bend_s2 * wanted(at_s, 2)
+    fed = wanted(at_s) + np.dot(loop.inverse, [wanted(at_s, 1), wanted(at_s, 2)])
     path = make_interp_spline(at_s, fed, 5)
-    first = [share * float(path(0.0)) for share in loop.first]
-    ends_s = TICKS_S[0] * np.arange(1, 1 + round(SECONDS / TICKS_S[0]))
+    ends_s = FINEST_S * np.arange(1, 1 + round(SECONDS / FINEST_S))
     solved = solve_ivp(
         lambda t_s, z: loop.a @ z + loop.b * path(t_s),
         (0.0, SECONDS),
-        first,
+        [share * float(path(0.0)) for share in loop.first],
         method="DOP853",
         rtol=REFERENCE_RTOL,
         atol=REFERENCE_RTOL * 1e-3 * float(np.abs(fed).max()),
@@ -164,20 +168,13 @@ def reference_n(loop: ContinuousLoop, longest_s: float) -> Array:
     return np.array([loop.force(state, u) for state, u in states])
 
 
-class Method(NamedTuple):
-    """A way to step a loop, and the time in s by which its wanted force must be earlier."""
-
-    step: Step
-    lead_s: float = 0.0
-
-
 def explicit(loop: ContinuousLoop, tick_s: float) -> Method:
     """Return the paper's way: the PID of the last reading, with differences backwards, held."""
     gains, actuator, law = loop.display.controller, loop.display.actuator, loop.law
     pid = gains.pid(tick_s, math.inf)
     if not isinstance(actuator, StepperScene):
         plant, unit = actuator.build(tick_s), loop.display.film.millivolts_per_newton
-        return Method(lambda wanted: plant.step(pid.step(unit * (wanted[REACH] - plant.force_n))))
+        return lambda wanted: plant.step(pid.step(unit * (wanted[REACH] - plant.force_n))), 0.0
     stepper = Stepper(actuator, law, math.inf, tick_s, linear=True)
     fed: list[float] = []
 
@@ -187,7 +184,7 @@ def explicit(loop: ContinuousLoop, tick_s: float) -> Method:
         fed.append(u)
         return stepper.step(pid.step(u - stepper.screw_m, feed_forward=(u - before) / tick_s))
 
-    return Method(step)
+    return step, 0.0
 
 
 def solved(loop: ContinuousLoop, tick_s: float) -> Method:
@@ -203,7 +200,7 @@ def solved(loop: ContinuousLoop, tick_s: float) -> Method:
         force_loop.tick(wanted_n[REACH:last], film.read(force_loop.felt_n))
         return force_loop.felt_n
 
-    return Method(step, force_loop.actuation_delay_ns * 1e-9)
+    return step, force_loop.actuation_delay_ns * 1e-9
 
 
 def exact(loop: ContinuousLoop, tick_s: float) -> Method:
@@ -215,26 +212,26 @@ def exact(loop: ContinuousLoop, tick_s: float) -> Method:
     rows: list[list[float]] = expm(system)[:count].tolist()
 
     def advance(state: list[float], u: float, change: float) -> list[float]:
-        inputs = [*state, u, change]
-        return [sum(map(mul, row, inputs)) for row in rows]
+        return [sum(map(mul, row, [*state, u, change])) for row in rows]
 
-    return Method(_by_states(loop, tick_s, advance))
+    return _by_states(loop, tick_s, advance), 0.0
 
 
 def library(loop: ContinuousLoop, tick_s: float, rtol: float) -> Method:
     """Return scipy's `solve_ivp` (RK45), called each tick, u linear over it."""
-    a, b = loop.a, loop.b
 
     def advance(state: list[float], u: float, change: float) -> list[float]:
-        def slopes(t_s: float, z: Array) -> Array:
-            return a @ z + b * (u + change * t_s / tick_s)
+        solution = solve_ivp(
+            lambda t_s, z: loop.a @ z + loop.b * (u + change * t_s / tick_s),
+            (0.0, tick_s),
+            state,
+            method="RK45",
+            rtol=rtol,
+            atol=rtol * 1e-3 * (abs(u) + 1e-9),
+        )
+        return list(solution.y[:, -1].tolist())
 
-        atol = rtol * 1e-3 * (abs(u) + 1e-9)
-        solution = solve_ivp(slopes, (0.0, tick_s), state, method="RK45", rtol=rtol, atol=atol)
-        ended: list[float] = solution.y[:, -1].tolist()
-        return ended
-
-    return Method(_by_states(loop, tick_s, advance))
+    return _by_states(loop, tick_s, advance), 0.0
 
 
 def _by_states(
@@ -253,11 +250,11 @@ def _by_states(
     return step
 
 
-SHIPPED: Final = "solved with the actuator's step (the display's)"
+SHIPPED: Final = "solved with the actuator's step: the display's"
 WAYS: Final[dict[str, Callable[[ContinuousLoop, float], Method]]] = {
     "explicit, as in the paper": explicit,
     SHIPPED: solved,
-    "exact, by the matrix exponential": exact,
+    "exact: the loop's matrix exponential": exact,
     "`solve_ivp`, 1e-3": partial(library, rtol=1e-3),
     "`solve_ivp`, 1e-9": partial(library, rtol=1e-9),
 }
@@ -269,53 +266,43 @@ class Errors(NamedTuple):
     catching_up: float
     following: float
 
-    @property
-    def diverged(self) -> bool:
-        """True where the force has left all bounds."""
-        return math.isinf(self.following)
-
 
 class Score(NamedTuple):
     """A way to step a scene's loop: its errors by the tick in s, and the processor time of a tick.
 
-    Errors are None where the display refuses the loop; own: those at the scene's own tick.
+    Errors are None where the display refuses the loop.
     """
 
     scene: str
     way: str
     errors: dict[float, Errors | None]
-    own: Errors | None
     p50_us: float
     p99_us: float
 
 
 def run(method: Method, loop: ContinuousLoop, tick_s: float) -> tuple[Array, Array]:
-    """Return the felt force in N and the processor time in us of each tick, less the clock's."""
-    windows = loop.pulse_n(
-        tick_s * (np.arange(round(SECONDS / tick_s))[:, None] + np.arange(-REACH, REACH + 1))
-        + method.lead_s
-    ).tolist()
-    felt_n, took_ns, clock_ns, now_ns = [], [], [], time.process_time_ns
+    """Return the felt force in N and the processor time in µs of each tick, less the clock's."""
+    (step, lead_s), felt_n, took_ns, now_ns = method, [], [], time.process_time_ns
+    ticks = np.arange(round(SECONDS / tick_s))[:, None] + np.arange(-REACH, REACH + 1)
+    windows = loop.pulse_n(tick_s * ticks + lead_s).tolist()
+    clock_ns = np.median([-now_ns() + now_ns() for _ in windows])
     for window in windows:
         began_ns = now_ns()
-        clock_ns.append(now_ns() - began_ns)
-        began_ns = now_ns()
-        felt_n.append(method.step(window))
+        felt_n.append(step(window))
         took_ns.append(now_ns() - began_ns)
         if not abs(felt_n[-1]) < DIVERGED_N:
             break
-    return np.array(felt_n), 1e-3 * (np.array(took_ns) - np.median(clock_ns))
+    return np.array(felt_n), 1e-3 * (np.array(took_ns) - clock_ns)
 
 
 def errors_of(felt_n: Array, true_n: Array, height_n: float, tick_s: float) -> Errors:
     """Return the errors at the ticks' ends."""
-    every, caught_up = round(tick_s / TICKS_S[0]), round(CATCHING_UP_S / tick_s)
+    every, caught_up = round(tick_s / FINEST_S), round(CATCHING_UP_S / tick_s)
     wanted_n = true_n[every - 1 :: every]
     if len(felt_n) < len(wanted_n) or not abs(felt_n[-1]) < DIVERGED_N:
         return Errors(math.inf, math.inf)
     squares = ((felt_n - wanted_n) / height_n) ** 2
-    parts = squares[:caught_up], squares[caught_up:]
-    return Errors(*(math.sqrt(part.mean()) for part in parts))
+    return Errors(math.sqrt(squares[:caught_up].mean()), math.sqrt(squares[caught_up:].mean()))
 
 
 def score(name: str) -> tuple[list[Score], float]:
@@ -324,12 +311,11 @@ def score(name: str) -> tuple[list[Score], float]:
     The change is over the pulse's peak to peak, as the errors are.
     """
     loop = continuous_loop(name)
-    true_n = reference_n(loop, TICKS_S[0])
-    halved = np.abs(reference_n(loop, 2 * TICKS_S[0]) - true_n).max()
-    height_n = float(np.ptp(loop.pulse_n(np.arange(0.0, SECONDS, TICKS_S[0]))))
-    scores, own_s = [], loop.display.tick_ns * 1e-9
+    true_n = reference_n(loop, FINEST_S)
+    height_n = float(np.ptp(loop.pulse_n(np.arange(0.0, SECONDS, FINEST_S))))
+    scores = []
     for label, make in WAYS.items():
-        errors, spent_us = dict[float, Errors | None](), np.zeros(0)
+        errors, costs_us = dict[float, Errors | None](), [math.nan, math.nan]
         for tick_s in TICKS_S:
             try:
                 felt_n, took_us = run(make(loop, tick_s), loop, tick_s)
@@ -337,8 +323,7 @@ def score(name: str) -> tuple[list[Score], float]:
                 errors[tick_s] = None
                 continue
             errors[tick_s] = errors_of(felt_n, true_n, height_n, tick_s)
-            if tick_s == own_s:
-                spent_us = took_us
-        costs_us = np.percentile(spent_us, (50, 99)).tolist()
-        scores.append(Score(name, label, errors, errors[own_s], *costs_us))
-    return scores, float(halved) / height_n
+            if tick_s == USUAL_S:
+                costs_us = np.percentile(took_us, (50, 99)).tolist()
+        scores.append(Score(name, label, errors, *costs_us))
+    return scores, float(np.abs(reference_n(loop, 2 * FINEST_S) - true_n).max()) / height_n
