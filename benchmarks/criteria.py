@@ -87,6 +87,12 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("random spikes / best moving, 5 %", most=1.6),
         Criterion("TCP stalls / best moving, 5 %", most=1.7),
     ),
+    # Errors are over the pulse's peak to peak.
+    "loop": (
+        Criterion("change of the reference on halving its step", most=1e-10),
+        share("error of the display's own way at 1 ms, following the pulse", most=1e-3),
+        Criterion("hard cases that are unbounded", most=0),
+    ),
     # In the units of their names.
     "core": (
         Criterion("work of the stack in µs a tick", most=15),

@@ -4,7 +4,7 @@ import pytest
 
 from tests.support.nodes import run_python
 
-NAMES = ("announce", "depth", "peers", "playout", "prediction", "press")
+NAMES = ("announce", "depth", "loop", "peers", "playout", "prediction", "press")
 
 
 @pytest.mark.timeout(300)
