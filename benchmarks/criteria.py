@@ -75,6 +75,13 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("fibrillation, stack: over its oracle", most=1.0),
         Criterion("tick of the stack, 99th percentile", 150e-6, scale=1e6, unit="µs"),
     ),
+    "in_phase": (
+        Criterion("regret, median", most=1.05),
+        Criterion("regret, worst", most=1.25),
+        share("time noticed beyond the target, worst", most=0.01),
+        Criterion("expected over actual RMS error, median", most=1.2, least=0.8),
+        Criterion("expected over actual time noticed, median", most=2.0, least=0.5),
+    ),
     # Our mean delay over the optimum's, both at 1 % late.
     "playout": (
         Criterion("Gaussian / best constant", most=1.05),

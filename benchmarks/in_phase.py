@@ -8,6 +8,7 @@ best constant E in hindsight: the least error of those that are noticed for at m
 `noticed_target`; where there is none, that of the one which is noticed least.
 """
 
+import math
 import statistics
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.benchmark import Benchmark
-from display_node.prediction.trust import STEP_NS
+from display_node.prediction.trust import BLENDED, CELL_NS, HORIZONS, STEP_NS
 from protocol.config.scene_file import find_scene
 from protocol.tactile import JND
 from protocol.ticks import TickState
@@ -256,11 +257,13 @@ def _judge(
     ahead = np.abs(predicted_ns - steps * STEP_NS) < STEP_NS
     if not expected or np.count_nonzero(ahead) < 500:
         return np.nan, np.nan, np.nan
-    squares_n2, shares = (
-        np.mean([each[kind][steps] for each in expected], axis=0) for kind in (0, 1)
+    horizon = BLENDED * (steps + CELL_NS / 2 / STEP_NS)
+    squares_n2, share = (
+        float(np.interp(horizon, np.arange(HORIZONS + 1), np.mean(each, axis=0)))
+        for each in zip(*expected, strict=True)
     )
-    actual_n = np.sqrt(np.mean(error_n[ahead] ** 2))
-    return float(np.sqrt(squares_n2) / actual_n), float(shares), float(noticed[ahead].mean())
+    actual_n = float(np.sqrt(np.mean(error_n[ahead] ** 2)))
+    return math.sqrt(squares_n2) / actual_n, share, float(noticed[ahead].mean())
 
 
 def _heights_n(pulse: Played, at_s: Floats) -> Floats:
