@@ -13,7 +13,7 @@ import numpy as np
 from display_node.contactor import Contactor
 from display_node.control.linear_loop import UnstableLoopError
 from display_node.control.link_loss import Fade
-from display_node.scoring.tracking_error import JND
+from protocol.tactile import JND
 from telepulse.scene import load_scene
 
 # A beat is half of a sine, squared. The last second is judged.
