@@ -128,12 +128,18 @@ def _tables(study: RecordStudy) -> Iterator[Table]:
     for each in study.ahead:
         ahead.add_row(f"{each.ahead_ms} ms", error(each.predicted_n), error(each.held_n))
     yield ahead
-    title = "Felt at the finger: force RMSE; samples that came late, and that were lost"
-    played = _table(title, "", "delay", "in phase", "aligned", "late", "lost")
+    title = (
+        "Felt at the finger: force RMSE, time in which a finger notices the aligned error, samples"
+        " late and lost"
+    )
+    played = _table(title, "", "delay", "in phase", "aligned", "noticed", "late", "lost")
     for playout in study.playouts:
         delay = "–" if playout.delay_ms is None else f"{playout.delay_ms:z.1f} ms"
         errors = error(playout.in_phase_n), error(playout.aligned_n)
-        shares = (f"{100 * each:.1f} %" for each in (playout.late, playout.lost))
+        shares = (
+            "–" if each is None else f"{100 * each:.1f} %"
+            for each in (playout.noticed, playout.late, playout.lost)
+        )
         played.add_row(playout.name, delay, *errors, *shares)
     yield played
 
