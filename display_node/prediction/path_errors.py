@@ -17,11 +17,14 @@ DELAYS: Final = 26
 KEPT: Final = 64
 # Steps whose errors are kept, for those of the last beat: above the longest number of them.
 ERRORS: Final = 256
-# Errors are expected by those of the last 20 s.
+# Squared errors are expected by those of the last 20 s. The memory grows by a fifth of a step a
+# step, so that errors of the time before the predictor had learnt are soon forgotten.
 MEMORY_STEPS: Final = 2_000
-# The memory grows by a fifth of a step a step, so that errors of the time before the predictor had
-# learnt are soon forgotten.
 FIRST_STEPS: Final = 50
+# Noticed errors are counted by blocks of 1 s: over the last third of the time, at most 30 s.
+BLOCK_STEPS: Final = 100
+BLOCKS: Final = 30
+FEWEST_BLOCKS: Final = 5
 # Errors during an artefact are remembered for 1 s.
 ARTEFACT_STEPS: Final = 100
 # A squared error, in units of the signal's variance, counts as at most this.
@@ -54,7 +57,7 @@ class ExpectedErrors:
 
 
 @kernel(
-    f"void({CUBE}, {CUBE}, {TABLE}, {TABLE}, {CUBE}, {TABLE}, int64, {FLOATS}, {TABLE}, {FLOATS},"
+    f"void({CUBE}, {CUBE}, {CUBE}, {TABLE}, {CUBE}, {TABLE}, int64, {FLOATS}, {TABLE}, {FLOATS},"
     f" float64, boolean)"
 )
 def add_errors(
@@ -74,15 +77,21 @@ def add_errors(
     """Judge the last paths by the newest values, and store new paths.
 
     paths: shape (channels, KEPT, 25), by step and horizon. in_phase: shape (channels, 26, 26).
-    noticed, disturbed: shape (channels, 26). sums: of the squared errors so far, shape (channels,
-    ERRORS, 26). values: the last newest values, shape (channels, KEPT). steps: number so far.
-    noticeable: least squared difference of each channel that a finger notices. keep: weight of the
-    newest errors.
+    noticed: counts by block of time, and in the last place of each the steps that were judged,
+    shape (channels, BLOCKS, 27). disturbed: shape (channels, 26). sums: of the squared errors so
+    far, shape (channels, ERRORS, 26). values: the last newest values, shape (channels, KEPT).
+    steps: number so far. noticeable: least squared difference of each channel that a finger
+    notices. keep: weight of the newest errors.
     """
     fade = 1.0 - 1.0 / ARTEFACT_STEPS
     before, after = steps % ERRORS, (steps + 1) % ERRORS
+    block = steps // BLOCK_STEPS % BLOCKS
     for channel in range(len(paths)):
-        value = newest[channel]
+        value, counts = newest[channel], noticed[channel, block]
+        if steps % BLOCK_STEPS == 0:
+            counts[:] = 0.0
+        if not artefact:
+            counts[HORIZONS + 1] += 1.0
         for horizon in range(HORIZONS + 1):
             sums[channel, after, horizon] = sums[channel, before, horizon]
             for delay in range(DELAYS):
@@ -104,13 +113,35 @@ def add_errors(
                     if artefact:
                         disturbed[channel, horizon] += (1.0 - fade) * over
                     else:
-                        noticed[channel, horizon] += keep * (over - noticed[channel, horizon])
+                        counts[horizon] += over
                 if not artefact:
                     in_phase[channel, horizon, delay] += keep * (
                         square - in_phase[channel, horizon, delay]
                     )
         values[channel, steps % KEPT] = value
         paths[channel, steps % KEPT] = made[channel]
+
+
+@kernel(f"void({TABLE}, int64, int64, {FLOATS})")
+def average_noticed(counts: Floats, newest: int, blocks: int, shares: Floats) -> None:
+    """Write the share of the steps of the last blocks in which an error was noticed.
+
+    The two adjacent blocks of each horizon in which it was noticed most do not count: a single
+    event, such as an early beat, is no rate.
+    """
+    for horizon in range(HORIZONS + 1):
+        total = judged = worst = worst_judged = 0.0
+        last = last_judged = 0.0
+        for ago in range(blocks):
+            block = counts[(newest - ago) % BLOCKS]
+            count, steps = block[horizon], block[HORIZONS + 1]
+            total += count
+            judged += steps
+            if ago > 0 and count + last >= worst:
+                worst, worst_judged = count + last, steps + last_judged
+            last, last_judged = count, steps
+        rest = judged - worst_judged
+        shares[horizon] = (total - worst) / rest if rest > 0.0 else 1.0
 
 
 class PathErrors:
@@ -120,7 +151,8 @@ class PathErrors:
         self._paths = np.zeros((channels, KEPT, HORIZONS))
         self._values = np.zeros((channels, KEPT))
         self._in_phase = np.zeros((channels, HORIZONS + 1, DELAYS))
-        self._noticed, self._disturbed = np.zeros((2, channels, HORIZONS + 1))
+        self._noticed = np.zeros((channels, BLOCKS, HORIZONS + 2))
+        self._disturbed = np.zeros((channels, HORIZONS + 1))
         self._sums = np.zeros((channels, ERRORS, HORIZONS + 1))
         self._heights, self._noticeable = np.zeros((2, channels))
         self._steps = 0
@@ -167,10 +199,13 @@ class PathErrors:
         if self._steps < HORIZONS + max(DELAYS, steps):
             return None
         squares, sums = scale * scale, self._sums[channel]
+        newest, noticed = (self._steps - 1) // BLOCK_STEPS, np.empty(HORIZONS + 1)
+        blocks = min(max(FEWEST_BLOCKS, (newest + 1) // 3), newest + 1, BLOCKS)
+        average_noticed(self._noticed[channel], newest, blocks, noticed)
         lately = sums[self._steps % ERRORS] - sums[(self._steps - steps) % ERRORS]
         return ExpectedErrors(
             squares / steps * np.maximum(lately[1:], 0.0),
             squares * self._in_phase[channel],
-            np.maximum(self._noticed[channel], self._disturbed[channel]),
+            np.maximum(noticed, self._disturbed[channel]),
             scale * self._heights.item(channel),
         )

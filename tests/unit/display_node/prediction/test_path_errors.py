@@ -69,10 +69,23 @@ def test_an_error_is_noticed_above_the_jnd_for_as_long_as_it_lasts(
 def test_errors_of_the_first_seconds_are_soon_forgotten() -> None:
     errors = PathErrors(1)
     be_wrong(errors, 500, 1.0)
-    assert known(errors).noticed[5] > 0.99
+    assert known(errors).noticed[5] > 0.95
     be_wrong(errors, 2_000, 0.0)
     assert known(errors).noticed[5] < 0.01
     assert known(errors).in_phase_n2[5, 0] < 0.01
+
+
+def test_a_single_event_is_no_rate_and_two_are() -> None:
+    errors = PathErrors(1)
+    be_wrong(errors, 6_000, 0.0)
+    be_wrong(errors, 60, 1.0)
+    be_wrong(errors, 140, 0.0)
+    assert known(errors).noticed[5] == 0
+    be_wrong(errors, 800, 0.0)
+    be_wrong(errors, 60, 1.0)
+    be_wrong(errors, 140, 0.0)
+    # One of both, over the rest of the last third.
+    assert known(errors).noticed[5] == pytest.approx(60 / (7_200 / 3 - 200), rel=0.1)
 
 
 def test_an_artefact_counts_at_once_and_is_forgotten_within_5_s() -> None:
