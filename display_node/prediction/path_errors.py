@@ -27,8 +27,17 @@ BLOCKS: Final = 30
 FEWEST_BLOCKS: Final = 5
 # Errors during an artefact are remembered for 1 s.
 ARTEFACT_STEPS: Final = 100
+# Running median of half the squared change of the error 10 ms ahead, which is the variance of white
+# noise: it rises or falls by so much a step, and by more in the first seconds. The median of such
+# squares is so much of their mean.
+MEDIAN_STEP: Final = 0.005
+FIRST_MEDIAN_STEPS: Final = 20
+MEDIAN_OF_SQUARES: Final = 0.4549
 # A squared error, in units of the signal's variance, counts as at most this.
 WORST: Final = 1e4
+# First and least variance of the noise, in the same unit.
+FIRST_WHITE: Final = 1e-4
+LEAST_WHITE: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +51,7 @@ class ExpectedErrors:
     in_phase_n2 : ndarray, shape (26, 26)
         Expected squared errors in N² of a force that is predicted over a horizon and felt after a
         delay, against the pulse at that time. By horizon from 0, which is a received force, and by
-        delay from 0, in steps of 10 ms.
+        delay from 0, in steps of 10 ms; without white noise of the sensor.
     noticed : ndarray, shape (26,)
         Expected share of the time in which the prediction is wrong by more than a finger notices,
         by horizon from 0.
@@ -58,7 +67,7 @@ class ExpectedErrors:
 
 @kernel(
     f"void({CUBE}, {CUBE}, {CUBE}, {TABLE}, {CUBE}, {TABLE}, int64, {FLOATS}, {TABLE}, {FLOATS},"
-    f" float64, boolean)"
+    f" {FLOATS}, {FLOATS}, float64, boolean)"
 )
 def add_errors(
     paths: Floats,
@@ -71,6 +80,8 @@ def add_errors(
     newest: Floats,
     made: Floats,
     noticeable: Floats,
+    white: Floats,
+    last: Floats,
     keep: float,
     artefact: bool,
 ) -> None:
@@ -81,13 +92,16 @@ def add_errors(
     shape (channels, BLOCKS, 27). disturbed: shape (channels, 26). sums: of the squared errors so
     far, shape (channels, ERRORS, 26). values: the last newest values, shape (channels, KEPT).
     steps: number so far. noticeable: least squared difference of each channel that a finger
-    notices. keep: weight of the newest errors.
+    notices. white: variance of each channel's white noise. last: error 10 ms ahead. keep: weight of
+    the newest errors.
     """
     fade = 1.0 - 1.0 / ARTEFACT_STEPS
+    quick = max(MEDIAN_STEP, 2.0 / (FIRST_MEDIAN_STEPS + steps))
     before, after = steps % ERRORS, (steps + 1) % ERRORS
     block = steps // BLOCK_STEPS % BLOCKS
     for channel in range(len(paths)):
         value, counts = newest[channel], noticed[channel, block]
+        threshold = noticeable[channel] + white[channel]
         if steps % BLOCK_STEPS == 0:
             counts[:] = 0.0
         if not artefact:
@@ -106,8 +120,14 @@ def add_errors(
                 square = (value - felt) ** 2
                 # An error that is no number is the worst, too.
                 square = square if square < WORST else WORST
+                if horizon == 1 and delay == 0:
+                    half = 0.5 * (value - felt - last[channel]) ** 2
+                    last[channel] = value - felt
+                    above = half > white[channel] * MEDIAN_OF_SQUARES
+                    factor = 1.0 + quick if above else 1.0 - quick
+                    white[channel] = max(white[channel] * factor, LEAST_WHITE)
                 if delay == 0:
-                    over = 1.0 if square > noticeable[channel] else 0.0
+                    over = 1.0 if square > threshold else 0.0
                     sums[channel, after, horizon] += square
                     disturbed[channel, horizon] *= fade
                     if artefact:
@@ -155,6 +175,8 @@ class PathErrors:
         self._disturbed = np.zeros((channels, HORIZONS + 1))
         self._sums = np.zeros((channels, ERRORS, HORIZONS + 1))
         self._heights, self._noticeable = np.zeros((2, channels))
+        # What no predictor can know: white noise of the sensor.
+        self._white, self._last = np.full(channels, FIRST_WHITE), np.zeros(channels)
         self._steps = 0
 
     def add(self, newest: Floats, paths: Floats, heights: Floats, artefact: bool = False) -> None:
@@ -185,6 +207,8 @@ class PathErrors:
             newest,
             paths,
             self._noticeable,
+            self._white,
+            self._last,
             1.0 / memory,
             artefact,
         )
@@ -205,7 +229,7 @@ class PathErrors:
         lately = sums[self._steps % ERRORS] - sums[(self._steps - steps) % ERRORS]
         return ExpectedErrors(
             squares / steps * np.maximum(lately[1:], 0.0),
-            squares * self._in_phase[channel],
+            squares * np.maximum(self._in_phase[channel] - self._white[channel], 0.0),
             np.maximum(noticed, self._disturbed[channel]),
             scale * self._heights.item(channel),
         )

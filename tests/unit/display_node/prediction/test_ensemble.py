@@ -75,10 +75,10 @@ def test_a_stacks_estimate_of_its_error_is_right() -> None:
     errors = PathErrors(1)
     assert errors.expected(0, 1.0, 100) is None
     rms = run(Stack(np.array([1.0])), gains=(1.0,), noise=0.2, errors=errors)
-    expected = errors.expected(0, 1.0, 100)
+    expected = errors.expected(0, 1.0, 200)
     assert expected is not None
     for horizon in (1, len(AHEAD)):
-        estimate = math.sqrt(expected.in_phase_n2[horizon, 0])
+        estimate = math.sqrt(expected.squares_n2[horizon - 1])
         assert estimate == pytest.approx(rms[-1][horizon - 1], rel=0.1)
 
 

@@ -102,7 +102,7 @@ def test_an_artefact_counts_at_once_and_is_forgotten_within_5_s() -> None:
 def test_channels_are_judged_by_their_own_height() -> None:
     errors, heights = PathErrors(2), np.array([2.0, 0.2])
     for step in range(2_000):
-        newest = np.full(2, 0.1 * (step % 2))
+        newest = np.full(2, 0.1 * (step // 7 % 2))
         errors.add(newest, np.zeros((2, HORIZONS)), heights)
     wide, narrow = known(errors, 0), known(errors, 1)
     assert (wide.height_n, narrow.height_n) == (2.0, 0.2)
@@ -118,3 +118,19 @@ def test_one_enormous_sample_leaves_later_estimates_right() -> None:
         errors.add(np.array([1.0]), np.zeros((1, HORIZONS)), HEIGHT)
     assert known(errors).squares_n2[3] == pytest.approx(1.0)
     assert known(errors).in_phase_n2[3, 0] == pytest.approx(1.0, rel=0.2)
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.06])
+def test_white_noise_of_the_sensor_is_no_error_of_the_prediction(noise: float) -> None:
+    """Of paths without an error, and of paths that are off by less than a finger notices."""
+    rng, errors = np.random.default_rng(1), PathErrors(1)
+    off = 0.9 * JND * HEIGHT.item()
+    for step in range(6_000):
+        path = np.zeros((1, HORIZONS))
+        # Off at half of the horizons.
+        path[:, HORIZONS // 2 :] = off * (-1) ** (step // 7)
+        errors.add(noise * rng.standard_normal(1), path, HEIGHT)
+    found = known(errors)
+    assert found.in_phase_n2[5, 0] < 0.2 * noise**2
+    assert found.in_phase_n2[20, 0] == pytest.approx(off**2, rel=0.05)
+    assert found.noticed[5] < 0.01
