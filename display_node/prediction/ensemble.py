@@ -17,10 +17,10 @@ from display_node.prediction.channel_path import (
     between,
     bound_paths,
 )
-from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Expert, Floats
+from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Expert
 from display_node.prediction.fir import Fir
 from display_node.prediction.grid import STEP_NS, GridCell, Rhythm
-from display_node.prediction.history import MARGIN, History
+from display_node.prediction.history import History
 from display_node.prediction.path_errors import PathErrors
 from display_node.prediction.r_waves import RWaveTime
 from display_node.prediction.stack import Stack
@@ -137,7 +137,7 @@ class Ensemble(ChannelPath):
         yield
         artefact = self._artefacts.present
         if history.count % SPACING == 0:
-            self._errors.add(history.newest_of_each, self._ahead, self._heights(), artefact)
+            self._errors.add(history.newest_of_each, self._ahead, history.heights(), artefact)
             if self._announced:
                 values = history.last(FURTHEST + 1)[::SPACING].astype(np.float64)
                 self._announced.learn(values, artefact)
@@ -188,12 +188,6 @@ class Ensemble(ChannelPath):
             steps = min(max(steps, FEWEST_JUDGED), MOST_JUDGED)
         for channel, path in enumerate(self._paths):
             path.expected = self._errors.expected(channel, path.scale, steps)
-
-    def _heights(self) -> Floats:
-        """Return the height of each channel's pulse, the range of its recent values."""
-        low, high = self._ranges
-        heights: Floats = (high - low) / (1 + 2 * MARGIN)
-        return heights
 
     @np.errstate(all="ignore")
     def _settle(self, cell: GridCell, beside: list[float]) -> None:
