@@ -83,8 +83,8 @@ class LeastError:
         # Of each age and delay: the horizons on both sides of the one that is felt, and the share
         # of the second.
         felt = BLENDED * np.maximum(np.arange(AGES)[:, np.newaxis] - np.arange(AGES), 0)
-        self._nearer = np.minimum(felt.astype(int), HORIZONS)
-        self._further = np.minimum(self._nearer + 1, HORIZONS)
+        self._nearer = np.minimum(felt.astype(int), HORIZONS + 1)
+        self._further = np.minimum(self._nearer + 1, HORIZONS + 1)
         self._beyond = felt - felt.astype(int)
         self._delays = np.minimum(np.arange(AGES), HORIZONS)
 
@@ -97,16 +97,21 @@ class LeastError:
         count = min(most, AGES - 1) + 1
         in_phase, noticed = np.zeros(count), np.zeros(count)
         for each in expected:
-            in_phase += self._means(ages, each.in_phase_n2, count) / each.height_n**2
+            squares = each.in_phase_n2
+            in_phase += self._means(ages, squares, squares.max(), count) / each.height_n**2
             shares = np.repeat(each.noticed[:, np.newaxis], HORIZONS + 1, axis=1)
-            np.maximum(noticed, self._means(ages, shares, count), out=noticed)
+            np.maximum(noticed, self._means(ages, shares, 1.0, count), out=noticed)
         allowed = noticed <= self._noticed_target
         if not allowed.any():
             return int(noticed.argmin())
         return int(np.where(allowed, in_phase, np.inf).argmin())
 
-    def _means(self, ages: Floats, table: Floats, count: int) -> Floats:
-        """Return the mean over the ages of a table by horizon and delay, at each delay."""
+    def _means(self, ages: Floats, table: Floats, worst: float, count: int) -> Floats:
+        """Return the mean over the ages of a table by horizon and delay, at each delay.
+
+        worst: value at a horizon beyond the table, where nothing is predicted.
+        """
+        table = np.concatenate([table, np.full((1, HORIZONS + 1), worst)])
         delays, beyond = self._delays[:count], self._beyond[:, :count]
         nearer, further = (table[each[:, :count], delays] for each in (self._nearer, self._further))
         means: Floats = ages @ (nearer + beyond * (further - nearer)) / ages.sum()
