@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.benchmark import Benchmark
-from display_node.prediction.trust import BLENDED, CELL_NS, HORIZONS, STEP_NS
+from display_node.prediction.path_errors import BLENDED
+from display_node.prediction.trust import CELL_NS, HORIZONS, STEP_NS
 from protocol.config.scene_file import find_scene
 from protocol.tactile import JND
 from protocol.ticks import TickState

@@ -9,14 +9,15 @@ from display_node.prediction.expert import HORIZONS, Floats
 from display_node.prediction.kernels import CUBE, FLOATS, TABLE, kernel
 from protocol.tactile import JND
 
-# Distance of horizons, and of delays.
-STEP_NS: Final = 10_000_000
 # Delays E after which the pulse is compared with the present one, in steps of 10 ms from 0 on.
 DELAYS: Final = 26
 # Steps for which paths are kept: beyond the longest horizon and the longest delay together.
 KEPT: Final = 64
 # Steps whose errors are kept, for those of the last beat: above the longest number of them.
 ERRORS: Final = 256
+# A correction of the prediction is blended in over a fifth of its horizon (`concealment.py`): what
+# is felt was predicted earlier by so much.
+BLENDED: Final = 1.2
 # Squared errors are expected by those of the last 20 s. The memory grows by a fifth of a step a
 # step, so that errors of the time before the predictor had learnt are soon forgotten.
 MEMORY_STEPS: Final = 2_000
@@ -162,6 +163,47 @@ def average_noticed(counts: Floats, newest: int, blocks: int, shares: Floats) ->
             last, last_judged = count, steps
         rest = judged - worst_judged
         shares[horizon] = (total - worst) / rest if rest > 0.0 else 1.0
+
+
+@kernel(f"Tuple(({FLOATS}, {FLOATS}))({FLOATS}, {TABLE}, {FLOATS}, int64)")
+def expect_by_delay(
+    ages: Floats, in_phase: Floats, noticed: Floats, delays: int
+) -> tuple[Floats, Floats]:
+    """Return what is expected of each delay E from 0 on, in steps of 10 ms.
+
+    Parameters
+    ----------
+    ages : ndarray
+        Weight of each age of the newest sample, in steps of 10 ms from 0.
+    in_phase, noticed : ndarray
+        As in `ExpectedErrors`. Beyond the longest horizon nothing is predicted: an error there is
+        the worst one, and noticed.
+    delays
+        Number of delays.
+
+    Returns
+    -------
+    squares, shares : ndarray, shape (delays,)
+        Mean squared error in phase, and share of the time in which an error is noticed.
+    """
+    squares, shares, total = np.zeros(delays), np.zeros(delays), ages.sum()
+    worst = in_phase.max()
+    for age in range(len(ages)):
+        weight = ages[age] / total
+        if not weight > 0.0:
+            continue
+        for delay in range(delays):
+            horizon = BLENDED * max(age - delay, 0)
+            nearer, column = int(horizon), min(delay, DELAYS - 1)
+            near_square, near_share, far_square, far_share = worst, 1.0, worst, 1.0
+            if nearer <= HORIZONS:
+                near_square, near_share = in_phase[nearer, column], noticed[nearer]
+            if nearer < HORIZONS:
+                far_square, far_share = in_phase[nearer + 1, column], noticed[nearer + 1]
+            beyond = horizon - nearer
+            squares[delay] += weight * (near_square + beyond * (far_square - near_square))
+            shares[delay] += weight * (near_share + beyond * (far_share - near_share))
+    return squares, shares
 
 
 class PathErrors:

@@ -64,9 +64,6 @@ KEPT = math.exp(-STEP_NS * 1e-9 / AGES_MEMORY_S)
 MOST_NS = 400_000_000
 # Ages beyond the longest horizon at the greatest reduction count alike.
 AGES = HORIZONS + MOST_NS // STEP_NS + 2
-# A correction of the prediction is blended in over a fifth of its horizon (`concealment.py`): what
-# is felt was predicted earlier by so much.
-BLENDED = 1.2
 DelayChoice = Literal["auto", "shape"]
 """How `compensation` chooses E."""
 
@@ -79,14 +76,10 @@ class LeastError:
     """
 
     def __init__(self, noticed_target: float) -> None:
-        self._noticed_target = noticed_target
-        # Of each age and delay: the horizons on both sides of the one that is felt, and the share
-        # of the second.
-        felt = BLENDED * np.maximum(np.arange(AGES)[:, np.newaxis] - np.arange(AGES), 0)
-        self._nearer = np.minimum(felt.astype(int), HORIZONS + 1)
-        self._further = np.minimum(self._nearer + 1, HORIZONS + 1)
-        self._beyond = felt - felt.astype(int)
-        self._delays = np.minimum(np.arange(AGES), HORIZONS)
+        # Imported here, since its kernels need numba, as every predictor that is trusted.
+        from display_node.prediction.path_errors import expect_by_delay
+
+        self._noticed_target, self._expect = noticed_target, expect_by_delay
 
     def steps(self, ages: Floats, most: int, expected: "Sequence[ExpectedErrors]") -> int:
         """Return the steps of E, up to `most`.
@@ -94,28 +87,15 @@ class LeastError:
         ages: shape (AGES,), weight of each age of the newest sample, in steps. expected: errors of
         each contactor.
         """
-        count = min(most, AGES - 1) + 1
-        in_phase, noticed = np.zeros(count), np.zeros(count)
+        in_phase, noticed = np.zeros((2, min(most, AGES - 1) + 1))
         for each in expected:
-            squares = each.in_phase_n2
-            in_phase += self._means(ages, squares, squares.max(), count) / each.height_n**2
-            shares = np.repeat(each.noticed[:, np.newaxis], HORIZONS + 1, axis=1)
-            np.maximum(noticed, self._means(ages, shares, 1.0, count), out=noticed)
+            squares, shares = self._expect(ages, each.in_phase_n2, each.noticed, len(in_phase))
+            in_phase += squares / each.height_n**2
+            np.maximum(noticed, shares, out=noticed)
         allowed = noticed <= self._noticed_target
         if not allowed.any():
             return int(noticed.argmin())
         return int(np.where(allowed, in_phase, np.inf).argmin())
-
-    def _means(self, ages: Floats, table: Floats, worst: float, count: int) -> Floats:
-        """Return the mean over the ages of a table by horizon and delay, at each delay.
-
-        worst: value at a horizon beyond the table, where nothing is predicted.
-        """
-        table = np.concatenate([table, np.full((1, HORIZONS + 1), worst)])
-        delays, beyond = self._delays[:count], self._beyond[:, :count]
-        nearer, further = (table[each[:, :count], delays] for each in (self._nearer, self._further))
-        means: Floats = ages @ (nearer + beyond * (further - nearer)) / ages.sum()
-        return means
 
 
 # Bounds of the RMSE as a share of the pulse's height, for "shape". With them the pulse felt differs

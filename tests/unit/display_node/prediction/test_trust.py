@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from display_node.prediction.path_errors import DELAYS, ExpectedErrors
-from display_node.prediction.trust import BLENDED, HORIZONS, PulseSize, Trust
+from display_node.prediction.path_errors import BLENDED, DELAYS, ExpectedErrors
+from display_node.prediction.trust import HORIZONS, PulseSize, Trust
 
 MS = 1_000_000
 REQUIRED_NS = 62 * MS
