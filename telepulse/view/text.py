@@ -248,7 +248,10 @@ def _within(scores: Scores, window: str) -> PageFigure:
     """Return the share within the JND, and the share of the window that it refers to."""
     if scores.within_jnd is None or scores.judged is None:
         return PageFigure(NOTHING, f"of {window}, none of which could be judged")
-    note = f"of the {SHARE.text(scores.judged)} of {window} that could be judged"
+    note = (
+        f"a finger notices an error for {SHARE.text(1 - scores.within_jnd)} of the time, of the"
+        f" {SHARE.text(scores.judged)} of {window} that could be judged"
+    )
     return PageFigure(SHARE.text(scores.within_jnd), note)
 
 
