@@ -129,18 +129,19 @@ def _tables(study: RecordStudy) -> Iterator[Table]:
         ahead.add_row(f"{each.ahead_ms} ms", error(each.predicted_n), error(each.held_n))
     yield ahead
     title = (
-        "Felt at the finger: force RMSE, time in which a finger notices the aligned error, samples"
-        " late and lost"
+        "Felt at the finger: force RMSE, time in which a finger notices the aligned error,\n"
+        "samples late and lost"
     )
     played = _table(title, "", "delay", "in phase", "aligned", "noticed", "late", "lost")
     for playout in study.playouts:
         delay = "–" if playout.delay_ms is None else f"{playout.delay_ms:z.1f} ms"
-        errors = error(playout.in_phase_n), error(playout.aligned_n)
+        aligned_n = playout.aligned_n
+        aligned = None if aligned_n is None else aligned_n / study.height_n
         shares = (
             "–" if each is None else f"{100 * each:.1f} %"
-            for each in (playout.noticed, playout.late, playout.lost)
+            for each in (aligned, playout.noticed, playout.late, playout.lost)
         )
-        played.add_row(playout.name, delay, *errors, *shares)
+        played.add_row(playout.name, delay, error(playout.in_phase_n), *shares)
     yield played
 
 
