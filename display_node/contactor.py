@@ -312,6 +312,11 @@ class Contactor:
         return self._concealment.expected
 
     @property
+    def noticed_5s(self) -> float:
+        """Share of the last 5 s in which an error of the prediction was felt."""
+        return self._prediction_score.noticed_5s
+
+    @property
     def film_age_ns(self) -> int:
         """Age of a reading of the real film; 0 where the film is modelled."""
         return 0 if self.feedback is None else self.scene.film.latency_ns

@@ -110,7 +110,9 @@ class Playout:
         """Choose E anew where that is due; return whether it was."""
         if self.trust is None or not self.trust.due:
             return False
-        self.trust.choose([each.expected for each in self._contactors])
+        contactors = self._contactors
+        noticed = max(each.noticed_5s for each in contactors)
+        self.trust.choose([each.expected for each in contactors], noticed)
         return True
 
     def _new_trust(self) -> Trust | None:

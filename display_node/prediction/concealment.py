@@ -111,7 +111,8 @@ class Concealment:
         """Take the samples of a frame, late or not."""
         self._predictor.observe(samples.times_ns, samples.forces_n)
         self._size.observe(samples.times_ns[0], samples.forces_n)
-        self.height_n = self._size.size
+        expected = self._predictor.expected
+        self.height_n = self._size.size if expected is None else expected.height_n
 
     def complete(
         self, path_n: list[float], count: int, sampled_ns: int, newest_ns: int

@@ -58,14 +58,70 @@ class PulseSize:
 STEP_NS = 10_000_000
 HORIZONS = 25
 CELL_NS = 5_000_000
-AGES_MEMORY_S = 1.5
-KEPT = math.exp(-STEP_NS * 1e-9 / AGES_MEMORY_S)
+# Ages are counted by blocks of half a second: those of the last 1.5 s, or of 5 s without the worst.
+BLOCK_NS = 500_000_000
+BLOCKS, LATELY_BLOCKS = 10, 3
+# Expected shares of the time are corrected by those felt in the last 5 s, within bounds; less than
+# so much is as good as none.
+FOLLOWS = STEP_NS / 5e9
+LEAST_CORRECTION, MOST_CORRECTION, AS_NONE = 0.6, 1.6, 0.01
+# Excess of the mean age in a second with a stall, in steps.
+STALLED = 2.0
 # Greatest reduction of E by trust: above 0.5 s the playout would jump instead of slewing.
 MOST_NS = 400_000_000
 # Ages beyond the longest horizon at the greatest reduction count alike.
 AGES = HORIZONS + MOST_NS // STEP_NS + 2
 DelayChoice = Literal["auto", "shape"]
 """How `compensation` chooses E."""
+
+
+class SampleAges:
+    """Times for which the newest sample had each age, in steps of 10 ms, shape (AGES,)."""
+
+    def __init__(self) -> None:
+        self._blocks = np.zeros((BLOCKS, AGES))
+        self._steps = np.arange(AGES, dtype=float)
+        self._number = -1
+        self._last_ns: int | None = None
+
+    def add(self, now_ns: int, age_ns: int) -> None:
+        """Count the age of the newest sample at a tick."""
+        if self._last_ns is not None:
+            if now_ns // BLOCK_NS != self._number:
+                self._number = now_ns // BLOCK_NS
+                self._blocks[self._number % BLOCKS] = 0.0
+            elapsed_ns, block = now_ns - self._last_ns, self._blocks[self._number % BLOCKS]
+            # A path counts from the middle of the newest cell.
+            steps = min(max((age_ns + CELL_NS // 2) / STEP_NS, 0.0), AGES - 1.001)
+            whole = int(steps)
+            block[whole] += (whole + 1 - steps) * elapsed_ns
+            block[whole + 1] += (steps - whole) * elapsed_ns
+        self._last_ns = now_ns
+
+    @property
+    def lately(self) -> Floats:
+        """Ages of the last 1.5 s."""
+        newest = np.arange(self._number - LATELY_BLOCKS + 1, self._number + 1)
+        ages: Floats = self._blocks[newest % BLOCKS].sum(axis=0)
+        return ages
+
+    @property
+    def usual(self) -> Floats:
+        """Ages of the last 5 s, without the two adjacent blocks of a single stall.
+
+        A stall is not what E is chosen for: no E that the link permits would cover it.
+        """
+        blocks = np.roll(self._blocks, -(self._number + 1) % BLOCKS, axis=0)
+        total: Floats = blocks.sum(axis=0)
+        pairs = blocks[1:] + blocks[:-1]
+        worst = pairs[(pairs @ self._steps).argmax()]
+        usual: Floats = total - worst
+        if not usual.any() or self._mean(worst) < self._mean(usual) + STALLED:
+            return total
+        return usual
+
+    def _mean(self, ages: Floats) -> float:
+        return float(ages @ self._steps / ages.sum())
 
 
 class LeastError:
@@ -80,22 +136,41 @@ class LeastError:
         from display_node.prediction.path_errors import expect_by_delay
 
         self._noticed_target, self._expect = noticed_target, expect_by_delay
+        # Shares of the time noticed at the chosen E: as expected, and as felt where it is known.
+        self._expected, self._felt = 0.0, math.nan
 
-    def steps(self, ages: Floats, most: int, expected: "Sequence[ExpectedErrors]") -> int:
-        """Return the steps of E, up to `most`.
-
-        ages: shape (AGES,), weight of each age of the newest sample, in steps. expected: errors of
-        each contactor.
-        """
+    def steps(self, ages: SampleAges, most: int, expected: "Sequence[ExpectedErrors]") -> float:
+        """Return the steps of E, up to `most`; expected: errors of each contactor."""
+        usual = ages.usual
         in_phase, noticed = np.zeros((2, min(most, AGES - 1) + 1))
         for each in expected:
-            squares, shares = self._expect(ages, each.in_phase_n2, each.noticed, len(in_phase))
+            squares, shares = self._expect(usual, each.in_phase_n2, each.noticed, len(in_phase))
             in_phase += squares / each.height_n**2
             np.maximum(noticed, shares, out=noticed)
+        # After a stall it is noticed at every E: then what is added by a smaller one counts.
+        correction = self._correction
+        noticed = (noticed - noticed[-1]) * correction
         allowed = noticed <= self._noticed_target
-        if not allowed.any():
-            return int(noticed.argmin())
-        return int(np.where(allowed, in_phase, np.inf).argmin())
+        chosen = int(np.where(allowed, in_phase, np.inf).argmin())
+        self._expected += FOLLOWS * (float(noticed[chosen]) / correction - self._expected)
+        if chosen == 0 or allowed[chosen - 1]:
+            return chosen
+        # Between two steps, where the target is reached.
+        more, less = noticed[chosen - 1], noticed[chosen]
+        return float(chosen - (self._noticed_target - less) / (more - less))
+
+    def follow(self, noticed: float) -> None:
+        """Take the share of the last 5 s in which an error of the prediction was felt."""
+        known = 0.0 if math.isnan(self._felt) else self._felt
+        self._felt = known + FOLLOWS * (noticed - known)
+
+    @property
+    def _correction(self) -> float:
+        """Factor of the expected shares by what was felt of them."""
+        if math.isnan(self._felt):
+            return 1.0
+        ratio = (self._felt + AS_NONE) / (self._expected + AS_NONE)
+        return min(max(ratio, LEAST_CORRECTION), MOST_CORRECTION)
 
 
 # Bounds of the RMSE as a share of the pulse's height, for "shape". With them the pulse felt differs
@@ -122,15 +197,18 @@ class KeptShape:
         horizon = np.arange(AGES)[:, np.newaxis] - np.arange(AGES)
         self._horizons = np.clip(horizon, 0, HORIZONS + 1)
 
-    def steps(self, ages: Floats, most: int, expected: "Sequence[ExpectedErrors]") -> int:
+    def steps(self, ages: SampleAges, most: int, expected: "Sequence[ExpectedErrors]") -> int:
         """Return the steps of E, as `LeastError` does."""
+        lately = ages.lately
+        if not lately.any():
+            return most
         most = min(most, AGES - 1)
         square = np.zeros(HORIZONS + 2)
         square[-1] = WORST**2
         for each in expected:
             shares = each.squares_n2 / each.height_n**2
             np.maximum(square[1:-1], np.minimum(shares, WORST**2), out=square[1:-1])
-        errors = ages @ square[self._horizons[:, : most + 1]] / ages.sum()
+        errors = lately @ square[self._horizons[:, : most + 1]] / lately.sum()
         rise_to, fall_to = (
             int(np.argmax(errors <= bound**2)) for bound in (RISE_ABOVE, FALL_BELOW)
         )
@@ -156,11 +234,10 @@ class Trust:
 
     def __init__(self, choice: DelayChoice = "auto", noticed_target: float = 0.02) -> None:
         self._choice = LeastError(noticed_target) if choice == "auto" else KeptShape()
-        # Time in ns that the newest sample spent at each age, by steps; older times count less.
-        self._ages = np.zeros(AGES)
+        self._ages = SampleAges()
         self._last_ns: int | None = None
         self._next_ns = self._required_ns = 0
-        self._steps = AGES
+        self._steps: float = AGES
         self.given = False
 
     def observe(self, now_ns: int, age_ns: int, required_ns: int) -> int:
@@ -168,34 +245,33 @@ class Trust:
 
         required_ns: delay that the link requires without prediction.
         """
-        if self._last_ns is not None:
-            elapsed_ns, ages = now_ns - self._last_ns, self._ages
-            # A path counts from the middle of the newest cell.
-            steps = min(max((age_ns + CELL_NS // 2) / STEP_NS, 0.0), AGES - 1.001)
-            whole = int(steps)
-            ages[whole] += (whole + 1 - steps) * elapsed_ns
-            ages[whole + 1] += (steps - whole) * elapsed_ns
+        self._ages.add(now_ns, age_ns)
         self._last_ns, self._required_ns = now_ns, required_ns
         if not self.given:
             return required_ns
-        return max(min(self._steps * STEP_NS, required_ns), required_ns - MOST_NS)
+        return max(min(round(self._steps * STEP_NS), required_ns), required_ns - MOST_NS)
 
     @property
     def due(self) -> bool:
         """Whether to call `choose`: a step has passed since the last choice."""
         return self._last_ns is not None and self._last_ns >= self._next_ns
 
-    def choose(self, expected: "Sequence[ExpectedErrors | None]") -> None:
+    def choose(
+        self, expected: "Sequence[ExpectedErrors | None]", noticed: float | None = None
+    ) -> None:
         """Choose E anew, after the last tick's command.
 
-        expected: errors to expect of the prediction of each contactor; None where unknown.
+        expected: errors to expect of the prediction of each contactor; None where unknown. noticed:
+        share of the last 5 s in which an error of it was felt, the greatest of any contactor; None
+        where it is unknown.
         """
         self._next_ns = (self._last_ns or 0) + STEP_NS
         # At least one step: the few milliseconds of a local network are predicted as well.
         most = max(self._required_ns // STEP_NS, 1)
         known = [each for each in expected if each is not None]
         self._steps = most
-        if len(known) == len(expected) and self._ages.any():
+        if len(known) == len(expected):
+            if noticed is not None and isinstance(self._choice, LeastError):
+                self._choice.follow(noticed)
             self._steps = self._choice.steps(self._ages, most, known)
-        self._ages *= KEPT
         self.given = self._steps < most

@@ -63,19 +63,20 @@ def test_e_leaves_the_horizon_to_the_predictor_that_costs_least() -> None:
     assert chosen_ms(Trust(), 0, 3000, steep, 57)[-1] == 40
 
 
-@pytest.mark.parametrize(("target", "wanted_ms"), [(0.005, 62), (0.025, 40), (0.2, 0)])
+@pytest.mark.parametrize(("target", "wanted_ms"), [(0.005, 55), (0.025, 35), (0.2, 0)])
 def test_e_leaves_the_horizon_at_which_an_error_is_noticed_seldom_enough(
     target: float, wanted_ms: int
 ) -> None:
     expected = errors(0.01, noticed=(0.01, 0.01, 0.02, 0.05, 0.06, 0.06, 0.1))
-    assert chosen_ms(Trust("auto", target), 0, 3000, expected, 57)[-1] == wanted_ms
+    found = chosen_ms(Trust("auto", target), 0, 3000, expected, 57)
+    assert found[-1] == pytest.approx(wanted_ms, abs=1)
 
 
-def test_where_errors_are_noticed_at_every_e_the_least_noticed_one_wins() -> None:
+def test_where_errors_are_noticed_at_every_e_what_a_smaller_one_adds_decides() -> None:
     # One sample in ten is later than any E that the link requires.
     ages_ms = [40.0] * 9 + [180.0]
     expected = errors(0.1, noticed=(0.5,))
-    assert chosen_ms(Trust(), 0, 5000, expected, *ages_ms)[-1] == 40 + 10
+    assert chosen_ms(Trust(), 0, 5000, expected, *ages_ms)[-1] == pytest.approx(48, abs=1)
     # The same without a limit.
     assert chosen_ms(Trust("auto", 0.5), 0, 5000, expected, *ages_ms)[-1] == 0
 
@@ -84,7 +85,7 @@ def test_what_is_felt_was_predicted_earlier_by_the_time_of_the_blend() -> None:
     # With 50 ms between sample and E = 0, a path of 60 ms ahead is felt.
     horizon = round(BLENDED * 5)
     late = errors(0.01, noticed=(*[0.0] * (horizon - 1), 0.5))
-    assert chosen_ms(Trust(), 0, 3000, late, 50 - 2.5)[-1] == 10
+    assert chosen_ms(Trust(), 0, 3000, late, 50 - 2.5)[-1] == pytest.approx(10, abs=0.5)
     later = errors(0.01, noticed=(*[0.0] * horizon, 0.5))
     assert chosen_ms(Trust(), 0, 3000, later, 50 - 2.5)[-1] == 0
 
@@ -96,21 +97,34 @@ def test_of_several_contactors_the_one_that_notices_most_decides() -> None:
         e_ns = trust.observe(at_ms * MS, 57 * MS, REQUIRED_NS)
         if trust.due:
             trust.choose([calm, rough])
-    assert e_ns == 50 * MS
+    assert e_ns / MS == pytest.approx(49, abs=1)
 
 
 def test_a_delay_beyond_the_prediction_is_buffered_as_far_as_nothing_is_predicted() -> None:
     # 250 ms are predicted; what is felt of them reaches over a fifth less.
     found = chosen_ms(Trust(), 0, 3000, errors(0.01), 400, required_ns=420 * MS)
-    assert found[-1] == 210
+    assert found[-1] == pytest.approx(206, abs=1)
 
 
-def test_a_silence_beyond_the_prediction_ends_the_trust() -> None:
+def test_a_silence_which_no_e_covers_hardly_changes_e() -> None:
     trust, expected = Trust(), errors(0.01)
     assert chosen_ms(trust, 0, 3000, expected, 57)[-1] == 0
-    silent = [chosen_ms(trust, at, at + 1, expected, at - 2943)[0] for at in range(3000, 3500)]
-    assert 150 < silent.index(62) < 300
-    assert not trust.given
+    silent = [chosen_ms(trust, at, at + 1, expected, at - 2943)[0] for at in range(3000, 4000)]
+    assert max(silent) <= 10
+
+
+def test_expected_shares_are_corrected_by_those_that_are_felt() -> None:
+    """Towards half as much, and twice as much, of what is expected."""
+    expected = errors(0.01, noticed=(0.01, 0.01, 0.02, 0.03, 0.05, 0.06, 0.1))
+    chosen = {}
+    for felt in (0.0, 0.02, 0.1):
+        trust = Trust("auto", 0.02)
+        for at_ms in range(20_000):
+            e_ns = trust.observe(at_ms * MS, 57 * MS, REQUIRED_NS)
+            if trust.due:
+                trust.choose([expected], felt)
+        chosen[felt] = e_ns / MS
+    assert chosen[0.0] < chosen[0.02] - 3 < chosen[0.1] - 6
 
 
 def test_e_is_reduced_by_400_ms_at_most() -> None:
