@@ -75,6 +75,13 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("fibrillation, stack: over its oracle", most=1.0),
         Criterion("tick of the stack, 99th percentile", 150e-6, scale=1e6, unit="µs"),
     ),
+    "in_phase": (
+        Criterion("regret, median", most=1.05),
+        Criterion("regret, worst", most=1.25),
+        share("time noticed beyond the target, worst", most=0.01),
+        Criterion("expected over actual RMS error, median", most=1.2, least=0.8),
+        Criterion("expected over actual time noticed, median", most=2.0, least=0.5),
+    ),
     # Our mean delay over the optimum's, both at 1 % late.
     "playout": (
         Criterion("Gaussian / best constant", most=1.05),
@@ -86,6 +93,12 @@ CRITERIA: Final[dict[str, tuple[Criterion, ...]]] = {
         Criterion("Markov bursts / best moving, 5 %", most=1.2),
         Criterion("random spikes / best moving, 5 %", most=1.6),
         Criterion("TCP stalls / best moving, 5 %", most=1.7),
+    ),
+    # Errors are over the pulse's peak to peak.
+    "loop": (
+        Criterion("change of the reference on halving its step", most=1e-10),
+        share("error of the display's own way at 1 ms, following the pulse", most=1e-3),
+        Criterion("hard cases that are unbounded", most=0),
     ),
     # In the units of their names.
     "core": (

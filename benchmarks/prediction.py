@@ -29,6 +29,7 @@ from tests.support.drawn_pulses import (
     pulses_without_shape_cue,
 )
 from tests.support.finger_pulses import finger_pulses
+from tests.support.people_pulses import people_pulses
 
 SEED = 1
 # Costs are measured after this time: while a predictor warms up, a tick costs less.
@@ -84,23 +85,37 @@ class PredictorCost(NamedTuple):
 def main(benchmark: Benchmark) -> None:
     """Print the tables."""
     seconds = 21.0 if benchmark.quick else 60.0
-    makes = pulses, pulses_without_shape_cue, finger_pulses
-    sets, silent, fingers = (make(seconds, SEED) for make in makes)
+    makes = pulses, pulses_without_shape_cue, finger_pulses, people_pulses
+    sets, silent, fingers, people = (make(seconds, SEED) for make in makes)
     if benchmark.quick:
         sets, silent, fingers = sets[:2], silent[:1], fingers[:1]
-    found = iter(benchmark.run(score, sets + silent + fingers))
-    errors, cued_not, finger_errors = (
-        {each.name: next(found) for each in part} for part in (sets, silent, fingers)
+        people = [pulse for pulse in people if np.isnan(pulse.sensed).any()]
+    found = iter(benchmark.run(score, sets + silent + fingers + people))
+    errors, cued_not, finger_errors, people_errors = (
+        {each.name: next(found) for each in part} for part in (sets, silent, fingers, people)
     )
     errors |= {MEDIAN: _medians(errors)}
-    _show_medians(benchmark, errors)
+    missing = set() if benchmark.quick else set(RECORDED) - set(errors)
+    _show_medians(
+        benchmark,
+        f"{len(errors) - 1} pulses",
+        errors[MEDIAN],
+        f"Without {', '.join(sorted(missing))}: heartpy is not installed." if missing else "",
+    )
+    medians = _medians(people_errors)
+    _show_medians(benchmark, f"{len(people_errors)} pulses of people", medians)
     all_errors = {name: each for name, each in errors.items() if name != MEDIAN}
     all_errors |= {f"{name}, no shape cue": each for name, each in cued_not.items()}
-    all_errors |= finger_errors
+    all_errors |= finger_errors | people_errors
+    worst = map(max, zip(*(each["stack"] for each in people_errors.values()), strict=True))
     benchmark.table(
         "The stack's NRMSE by pulse",
         ("pulse", *HORIZONS),
-        [(name, *_cells(each["stack"])) for name, each in all_errors.items()],
+        [
+            *((name, *_cells(each["stack"])) for name, each in all_errors.items()),
+            ("median of people", *_cells(medians["stack"])),
+            ("worst of people", *_cells(tuple(worst))),
+        ],
     )
     _compare_members(benchmark, all_errors)
     if not benchmark.quick:
@@ -127,14 +142,12 @@ def _cells(errors: tuple[float, ...]) -> tuple[str, ...]:
     return tuple(f"{error:.3f}" for error in errors)
 
 
-def _show_medians(benchmark: Benchmark, errors: Mapping[str, Errors]) -> None:
-    medians = errors[MEDIAN]
-    missing = set() if benchmark.quick else set(RECORDED) - set(errors)
+def _show_medians(benchmark: Benchmark, over: str, medians: Errors, note: str = "") -> None:
     benchmark.table(
-        f"NRMSE after {SCORED_FROM_S:g} s, median over {len(errors) - 1} pulses",
+        f"NRMSE after {SCORED_FROM_S:g} s, median over {over}",
         ("predictor", *HORIZONS),
         [(name, *_cells(each)) for name, each in medians.items()],
-        f"Without {', '.join(sorted(missing))}: heartpy is not installed." if missing else "",
+        note,
     )
 
 
@@ -174,7 +187,8 @@ def score(pulse: Pulse) -> Errors:
     """Return the NRMSE of hold, linear, the stack and each of its experts, after `SCORED_FROM_S`.
 
     The RMS is against the pulse without noise, over its standard deviation. After each frame and
-    all work on it, one prediction is made for each horizon, counted from the newest sample.
+    all work on it, one prediction is made for each horizon, counted from the newest sample. Samples
+    that are lost are not given to the predictors; after a frame without any, nothing is predicted.
     """
     stack = Ensemble("stack")
     cheap = [build_predictors(name)[0] for name in CHEAP]
@@ -183,13 +197,16 @@ def score(pulse: Pulse) -> Errors:
     ahead_ns = np.array(AHEAD_MS) * 1_000_000
     squares, count = np.zeros((len(AHEAD_MS), len(names))), 0
     for first in range(0, len(pulse.sensed) - pulse.frame + 1, pulse.frame):
-        last = first + pulse.frame
+        arrived = first + np.flatnonzero(np.isfinite(pulse.sensed[first : first + pulse.frame]))
+        if not len(arrived):
+            continue
         for predictor in (stack, *cheap):
-            predictor.observe(times_ns[first:last].tolist(), pulse.sensed[first:last].tolist())
+            predictor.observe(times_ns[arrived].tolist(), pulse.sensed[arrived].tolist())
         while stack.work():
             pass
-        at_ns = times_ns[last - 1] + ahead_ns
-        if times_ns[last - 1] < BEGIN_NS + SCORED_FROM_S * 1e9 or at_ns[-1] > times_ns[-1]:
+        newest_ns = times_ns[arrived[-1]]
+        at_ns = newest_ns + ahead_ns
+        if newest_ns < BEGIN_NS + SCORED_FROM_S * 1e9 or at_ns[-1] > times_ns[-1]:
             continue
         true = np.interp(at_ns, times_ns, pulse.true)
         for row, instant in enumerate(at_ns.tolist()):

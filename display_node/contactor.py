@@ -7,6 +7,7 @@ not arrived of its channel, scales it to its finger and runs its own force loop.
 import math
 from collections import deque
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from display_node.control.force_bounds import ForceBounds
 from display_node.control.link_loss import Fade
@@ -32,6 +33,9 @@ from protocol.wire.telemetry import PlaybackStatus
 
 # Frames that wait for the slack to be scored; beyond, the oldest is scored at once.
 MOST_UNSCORED = 64
+
+if TYPE_CHECKING:
+    from display_node.prediction.path_errors import ExpectedErrors
 
 
 class Contactor:
@@ -303,9 +307,9 @@ class Contactor:
             self.tracking_error.finish()
 
     @property
-    def error_shares(self) -> list[float]:
-        """Expected squared errors of the prediction, as `Concealment` returns them."""
-        return self._concealment.error_shares
+    def expected(self) -> "ExpectedErrors | None":
+        """Errors to expect of the channel's prediction, as of `Predictor`."""
+        return self._concealment.expected
 
     @property
     def film_age_ns(self) -> int:

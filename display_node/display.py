@@ -165,6 +165,8 @@ class Display:
         if self._block.count >= self._block_ticks:
             self.close_block()
             return True
+        if self._playout.work():
+            return True
         # Without `any` and its generator: this runs several times a tick.
         for contactor in self.contactors:  # noqa: SIM110
             if contactor.work():

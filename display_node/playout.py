@@ -38,11 +38,12 @@ class Playout:
     ) -> None:
         self._receiver, self._contactors = receiver, contactors
         # Copies: attributes of a scene take longer to read.
-        self._tick_ns, self._compensation_ns = scene.tick_ns, scene.compensation_ns
+        self._tick_ns, self._compensation = scene.tick_ns, scene.compensation_ns
         self._stale_after_ns = scene.safety.stale_after_ns
-        self._may_trust = scene.compensation_ns is None and scene.predictor.estimates_error
+        self._estimates_error = scene.predictor.estimates_error
+        self._noticed_target = scene.noticed_target
         self._clock = PlayoutClock()
-        self.trust = Trust() if self._may_trust else None
+        self.trust = self._new_trust()
         self._groups: list[Group] = []
         # The largest of any contactor.
         self._sample_lead_ns = self._reach_ns = self._reserve_ns = 0
@@ -51,7 +52,7 @@ class Playout:
         """Begin a session, after the contactors have begun it."""
         contactors = self._contactors
         self._clock = PlayoutClock()
-        self.trust = Trust() if self._may_trust else None
+        self.trust = self._new_trust()
         self._groups = self._group()
         self._sample_lead_ns = max(contactor.sample_lead_ns for contactor in contactors)
         self._reach_ns = max(contactor.reach_ns for contactor in contactors)
@@ -75,13 +76,12 @@ class Playout:
                 contactor.rest(now_ns)
             return False
         sensing_now_ns, trusted = receiver.clock.remote_ns(now_ns), False
-        playout_delay_ns = self._compensation_ns
-        if playout_delay_ns is None:
-            playout_delay_ns, trust = delay_ns + self._reserve_ns, self.trust
+        playout_delay_ns, trust = self._compensation, self.trust
+        if not isinstance(playout_delay_ns, int):
+            playout_delay_ns = delay_ns + self._reserve_ns
             if trust is not None:
-                if trust.observe(now_ns, sensing_now_ns + self._reach_ns - newest_ns):
-                    trust.evaluate(now_ns, playout_delay_ns, self._error_shares())
-                playout_delay_ns, trusted = trust.delay_ns(playout_delay_ns), trust.given
+                age_ns, trusted = sensing_now_ns + self._sample_lead_ns - newest_ns, trust.given
+                playout_delay_ns = trust.observe(now_ns, age_ns, playout_delay_ns)
         instant_ns = self._clock.instant(now_ns, sensing_now_ns - playout_delay_ns)
         # The sensing chain delays the pulse by its group delay: the pulse of `instant_ns` is in the
         # sample taken that much later. The actuators' lags are compensated in the same way.
@@ -106,6 +106,18 @@ class Playout:
             contactors[0].state.predicted_ns = longest_ns
         return alive
 
+    def work(self) -> bool:
+        """Choose E anew where that is due; return whether it was."""
+        if self.trust is None or not self.trust.due:
+            return False
+        self.trust.choose([each.expected for each in self._contactors])
+        return True
+
+    def _new_trust(self) -> Trust | None:
+        if isinstance(self._compensation, int) or not self._estimates_error:
+            return None
+        return Trust(self._compensation, self._noticed_target)
+
     def _group(self) -> list[Group]:
         """Return the contactors by the samples that they play, the first one first."""
         groups: dict[tuple[int, int], tuple[list[int], list[Contactor]]] = {}
@@ -115,10 +127,3 @@ class Playout:
             places.append(place)
             group.append(contactor)
         return [(*key, *members) for key, members in groups.items()]
-
-    def _error_shares(self) -> list[float]:
-        """Return the prediction's expected errors, of each horizon the largest of any contactor."""
-        first, *others = (contactor.error_shares for contactor in self._contactors)
-        if not all(others):
-            return []
-        return list(map(max, first, *others)) if others else first

@@ -11,6 +11,7 @@ from display_node.plant.feedback import Feedback
 from display_node.plant.film_plausibility import RisingForce
 from display_node.plant.scene import ACTUATORS, ActuatorScene, FilmTable
 from display_node.prediction.scene import DEFAULT_PREDICTOR, PredictorTable
+from display_node.prediction.trust import DelayChoice
 from display_node.press.scene import PressScene
 from protocol.config.kinds import OfKind
 from protocol.config.quantities import Name, Nanoseconds, Ratio, parse_quantity
@@ -36,12 +37,12 @@ FilmSensor = Annotated[
 ]
 
 
-def _time_or_auto(value: object) -> int | None:
-    if value == "auto":
-        return None
+def _time_or_choice(value: object) -> int | DelayChoice:
+    if value == "auto" or value == "shape":
+        return value
     delay_ns = round(parse_quantity(value, "time") * 1e9)
     if not 0 <= delay_ns <= MAX_COMPENSATION_NS:
-        raise ValueError(f"{value!r} is out of range: 0 s to 10 s, or 'auto'")
+        raise ValueError(f"{value!r} is out of range: 0 s to 10 s, 'auto' or 'shape'")
     return delay_ns
 
 
@@ -89,9 +90,12 @@ class ContactorScene(Section):
 class DisplayScene(ContactorScene):
     """The `display` table: settings of the display node.
 
-    compensation: the perceived delay E as a time, or "auto" (stored as None) for the smallest
-    delay at which at most `late_target` of the samples are late; with a predictor that learns, E is
-    reduced while the predictor's error is small. predictor: name of the predictor that supplies
+    compensation: the perceived delay E as a time, or how it is chosen. "auto": the delay at which
+    the felt force is nearest to the present pulse, among those at which a finger notices an error
+    of the prediction for at most `noticed_target` of the time. "shape": the least delay at which
+    the prediction changes no shape of the pulse. With a predictor that does not learn, both are the
+    smallest delay at which at most `late_target` of the samples are late, which prediction reduces
+    otherwise. predictor: name of the predictor that supplies
     missing samples. paths: number of parallel TCP connections for frames, of which the first copies
     are used. announce: whether a channel of the stream that announces the beats is used by the
     predictor.
@@ -105,7 +109,8 @@ class DisplayScene(ContactorScene):
     contactor: Annotated[tuple[ContactorScene, ...], Field(max_length=MAX_CONTACTORS)] = ()
     safety: SafetyScene = SafetyScene()
     press: PressScene | None = None
-    compensation_ns: Annotated[int | None, BeforeValidator(_time_or_auto)] = None
+    compensation_ns: Annotated[int | DelayChoice, BeforeValidator(_time_or_choice)] = "auto"
+    noticed_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.02
     late_target: Annotated[Ratio, Field(gt=0, le=0.5)] = 0.01
     predictor: PredictorTable = DEFAULT_PREDICTOR
     announce: Literal["auto", "off"] = "auto"

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from display_node.scoring.tracking_error import JND
 from protocol.cli_options import fault_status, sum_up
 from protocol.faults import texts_by_node
 from protocol.provenance import Provenance
 from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.fields import Limits, Summary
+from protocol.tactile import JND
 
 MOST_LINES = 6
 # Exit status of a run that is not valid and latched no fault.
@@ -142,6 +142,8 @@ def _error(summary: Summary) -> Iterator[str]:
     if height_n := figures.beats.height_at_finger_n:
         share = _percent(rmse_n / height_n)
         text += f", {share} of the pulse's height; a finger notices {100 * JND:.0f} % or more"
+        if figures.within_jnd is not None:
+            text += f", for {_percent(1 - figures.within_jnd)} of the time"
     yield _in_time(summary, f"{text}.")
 
 
@@ -151,11 +153,20 @@ def _delay(summary: Summary) -> Iterator[str]:
     if felt_ms is None or network.p50 is None:
         return
     ahead = ", thanks to prediction" if felt_ms < network.p50 else ""
+    off_n = max(
+        (
+            figures.force_rmse_n.in_phase
+            for figures in summary.of_each_contactor().values()
+            if figures.force_rmse_n.in_phase is not None
+        ),
+        default=None,
+    )
+    off = "" if off_n is None else f", off by {1e3 * off_n:.1f} mN in phase"
     tail = "" if network.p99 is None else f" (99 % within {network.p99:.1f} ms)"
     yield _in_time(
         summary,
-        f"the finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist on average{ahead};"
-        f" the network took {network.p50:.1f} ms{tail}.",
+        f"the finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist on average"
+        f"{ahead}{off}; the network took {network.p50:.1f} ms{tail}.",
     )
 
 

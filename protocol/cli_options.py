@@ -114,9 +114,10 @@ PredictorOption = Annotated[
 CompensationOption = Annotated[
     str | None,
     typer.Option(
-        metavar="TIME|auto",
-        help="Perceived delay in place of the scene's, such as '80 ms'. auto: the smallest at which"
-        " the predictor's error goes unnoticed, or at which samples arrive.",
+        metavar="TIME|auto|shape",
+        help="Perceived delay in place of the scene's, such as '80 ms'. auto: the one nearest to"
+        " the present pulse at which a finger seldom notices an error. shape: the smallest at which"
+        " the prediction changes no shape.",
     ),
 ]
 LogLevelOption = Annotated[

@@ -5,6 +5,7 @@ The output is a signed speed in m/s for a stepper. For the second-order actuator
 """
 
 import math
+from copy import deepcopy
 from typing import ClassVar, Final
 
 from display_node.control.feed_forward import ScrewPath
@@ -20,18 +21,53 @@ USUAL_S: Final = 0.1
 WORST_S: Final = 10.0
 # Bound of the force during a stall, as a multiple of the recent peak of the reference.
 HEADROOM: Final = 1.25
+# Ticks over which an actuator's model predicts at most, in a time far below a tick.
+MOST_HELD_TICKS: Final = 50
 # Share of the slew limit for the path of a rotor that rings. The rest is for the loop's corrections
 # where rotor or finger differ from the model.
 SHAPED_SHARE: Final = 0.93
 
 
-class StallGuard:
-    """Memory of recent stalls and forces, which limits each command for the next stall.
+class HoldingTime:
+    """Memory of how long commands were held recently.
 
     A drive keeps its last command until the next one. A command that is computed for one tick and
     held for many moves the tip too far, and the loop oscillates. So each command is computed for
-    the recent usual holding time. If held for the longest recent one, it must not press too hard
-    (decision 25).
+    the recent usual holding time (decision 25).
+
+    Attributes
+    ----------
+    held_s
+        Recent mean holding time of commands in s, weighted by time; one tick without stalls.
+    longest_s
+        Recent longest one in s; 0 without stalls.
+    """
+
+    def __init__(self, tick_s: float) -> None:
+        self._tick_s = tick_s
+        self._usual = math.exp(-tick_s / USUAL_S)
+        self._worst = math.exp(-tick_s / WORST_S)
+        # Exponentially weighted sums of the holding times and of their squares, in ticks.
+        self._holds = self._squares = 1 / (1 - self._usual)
+        self.held_s, self.longest_s = tick_s, 0.0
+
+    def tick(self, missed_ticks: int) -> None:
+        """Advance one tick after missed ones."""
+        if not (missed_ticks or self.longest_s):
+            return
+        hold = missed_ticks + 1
+        self.longest_s *= self._worst
+        if missed_ticks:
+            self.longest_s = max(self.longest_s, hold * self._tick_s)
+        self._holds = self._usual * self._holds + hold
+        self._squares = self._usual * self._squares + hold * hold
+        self.held_s = self._tick_s * self._squares / self._holds
+
+
+class StallGuard:
+    """Memory of recent stalls and forces, which limits each command for the next stall.
+
+    If held for the longest recent time, a command must not press too hard (decision 25).
 
     Parameters
     ----------
@@ -43,7 +79,7 @@ class StallGuard:
     peak_n
         Recent peak of the reference force in N.
     held_s
-        Recent mean holding time of commands in s, weighted by time; one tick without stalls.
+        See `HoldingTime`.
     limits
         Whether `fastest` bounds the speed: the host has stalled recently.
     """
@@ -52,11 +88,8 @@ class StallGuard:
         self._law = law
         self._tick_s = tick_s
         self._half_backlash_m = half_backlash_m
-        self._usual = math.exp(-tick_s / USUAL_S)
         self._worst = math.exp(-tick_s / WORST_S)
-        # Exponentially weighted sums of the holding times and of their squares, in ticks.
-        self._holds = self._squares = 1 / (1 - self._usual)
-        self._longest_s = 0.0
+        self._holding = HoldingTime(tick_s)
         self.peak_n = 0.0
         self.held_s = tick_s
         self.limits = False
@@ -65,16 +98,11 @@ class StallGuard:
         """Advance one tick after missed ones; `wanted_n` is the reference force in N."""
         peak_n = self._worst * self.peak_n
         self.peak_n = wanted_n if wanted_n > peak_n else peak_n
-        if not (missed_ticks or self._longest_s):
-            return
-        hold = missed_ticks + 1
-        self._longest_s *= self._worst
-        if missed_ticks:
-            self._longest_s = max(self._longest_s, hold * self._tick_s)
-        self._holds = self._usual * self._holds + hold
-        self._squares = self._usual * self._squares + hold * hold
-        self.held_s = self._tick_s * self._squares / self._holds
-        self.limits = self._longest_s >= 2 * self._tick_s
+        holding = self._holding
+        if missed_ticks or holding.longest_s:
+            holding.tick(missed_ticks)
+            self.held_s = holding.held_s
+            self.limits = holding.longest_s >= 2 * self._tick_s
 
     def fastest(self, screw_m: float) -> float:
         """Return the highest speed towards the finger in m/s, for the screw's position in m.
@@ -84,7 +112,7 @@ class StallGuard:
         if not self.limits:
             return math.inf
         furthest_m = self._law.position(HEADROOM * self.peak_n) + self._half_backlash_m
-        return max(0.0, furthest_m - screw_m) / self._longest_s
+        return max(0.0, furthest_m - screw_m) / self._holding.longest_s
 
 
 class StepperController:
@@ -256,17 +284,36 @@ class VoltageController:
         self._pid = scene.pid(tick_s, limit)
         self._twin = model
         self._unit = scene.error_per_newton(film)
+        self._tick_s = tick_s
+        self._holding = HoldingTime(tick_s)
+        self._missed_ticks = 0
 
     def output(self, reference_n: list[float], reading_n: float) -> float:
         """Return the voltage for this tick in V; see `StepperController.output`."""
-        twin, unit = self._twin, self._unit
+        twin, unit, holding = self._twin, self._unit, self._holding
         if reading_n == reading_n:  # else the model's own force is used
             twin.force_n = reading_n
-        error = unit * (reference_n[1] - twin.force_n - twin.drift())
-        volts = self._pid.step(error, unit * twin.response)
+        holding.tick(self._missed_ticks)
+        # A force follows its voltage fast, so that the first late tick counts at once.
+        held_ticks = max(1 + self._missed_ticks, round(holding.held_s / self._tick_s))
+        self._missed_ticks = 0
+        drift_n, response = twin.drift(), twin.response
+        if held_ticks > 1:
+            drift_n, response = self._held(min(held_ticks, MOST_HELD_TICKS))
+        error = unit * (reference_n[1] - twin.force_n - drift_n)
+        volts = self._pid.step(error, unit * response)
         twin.step(volts)
         return volts
 
+    def _held(self, ticks: int) -> tuple[float, float]:
+        """Return the force's change in N in some ticks without a voltage, and for each volt."""
+        idle, driven = deepcopy(self._twin), deepcopy(self._twin)
+        for _ in range(ticks):
+            idle.step(0.0)
+            driven.step(1.0)
+        return idle.force_n - self._twin.force_n, driven.force_n - idle.force_n
+
     def skip(self, volts: float) -> None:
         """Account for a missed tick, in which the voltage was held."""
+        self._missed_ticks += 1
         self._twin.step(volts)

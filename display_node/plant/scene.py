@@ -25,7 +25,9 @@ from pulse_drives.scene import MotorScene
 
 
 class ForceModel(Protocol):
-    """Model of an actuator whose output, held for a tick, becomes a force. Linear, and pure.
+    """Model of an actuator whose output, held for a tick, becomes a force.
+
+    It is linear and pure: a copy of it predicts.
 
     Attributes
     ----------

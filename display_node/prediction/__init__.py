@@ -13,11 +13,11 @@ A predictor of another distribution is a kind of `PREDICTORS` (`scene.py`, `docs
 
 import logging
 from bisect import bisect_left
-from collections.abc import Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Literal, Protocol
 
 if TYPE_CHECKING:
+    from display_node.prediction.path_errors import ExpectedErrors
     from display_node.prediction.r_waves import RWaveTime
     from display_node.prediction.transit import TransitTime
 
@@ -62,12 +62,9 @@ class Predictor(Protocol):
         return None
 
     @property
-    def squares_n2(self) -> Sequence[float]:
-        """Expected squared errors in N² at 10, 20, … 250 ms after the newest sample.
-
-        They are infinite where unknown; there are none without an estimate.
-        """
-        return ()
+    def expected(self) -> "ExpectedErrors | None":
+        """Errors to expect of the prediction; None without an estimate, or before there is one."""
+        return None
 
 
 class Linear(Predictor):

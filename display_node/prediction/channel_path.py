@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from display_node.prediction.expert import HORIZONS, SPACING, Floats
 from display_node.prediction.grid import STEP_NS, Grid
 from display_node.prediction.kernels import ROWS, TABLE, bounded, kernel
+from display_node.prediction.path_errors import ExpectedErrors
 from display_node.prediction.r_waves import RWaveTime
 from display_node.prediction.transit import TransitTime
 
@@ -53,7 +54,7 @@ class ChannelPath:
     """Path of one channel that an ensemble predicts, and the errors to expect of it.
 
     level, scale: mean and deviation in N of the channel's warm-up, 1 where it was constant.
-    squares_n2: as in `Predictor`.
+    expected: as in `Predictor`.
     """
 
     def __init__(self) -> None:
@@ -67,7 +68,7 @@ class ChannelPath:
         self.level, self.scale = 0.0, 0.0
         self._middle_ns = 0
         self._path: list[float] = []
-        self.squares_n2: list[float] = []
+        self.expected: ExpectedErrors | None = None
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:
         """Take new samples in N, in order of time within the call."""
@@ -95,16 +96,15 @@ class ChannelPath:
         return between(path, (sampled_ns - self._middle_ns) / SPACING_NS)
 
     def error_n(self, horizon_ns: int) -> float | None:
-        """Return the RMSE in N of predictions `horizon_ns` ahead over the last beat and a quarter.
+        """Return the RMSE in N of predictions `horizon_ns` ahead over the last beat.
 
         Returns None before that many results, and for a horizon beyond the path.
         """
         # The path counts from the middle of the newest cell.
         horizon = max(round((horizon_ns / STEP_NS + 0.5) / SPACING), 1)
-        if horizon > len(self.squares_n2):
+        if self.expected is None or horizon > HORIZONS:
             return None
-        square_n2 = self.squares_n2[horizon - 1]
-        return math.sqrt(square_n2) if square_n2 < math.inf else None
+        return math.sqrt(self.expected.squares_n2[horizon - 1])
 
     def normalised(self, value: float) -> float:
         """Return a value in deviations from the level, limited."""

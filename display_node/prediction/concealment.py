@@ -4,10 +4,14 @@ Pure: samples and times are arguments.
 """
 
 import math
+from typing import TYPE_CHECKING
 
 from display_node.prediction import Predictor
 from display_node.prediction.trust import PulseSize
 from protocol.wire.messages import ChannelSamples
+
+if TYPE_CHECKING:
+    from display_node.prediction.path_errors import ExpectedErrors
 
 # Time constant of the decay, as a share of the horizon of the old prediction: corrections of a
 # longer prediction are larger, and may take longer.
@@ -99,16 +103,9 @@ class Concealment:
         self.error_n = self._predictor.error_n
 
     @property
-    def error_shares(self) -> list[float]:
-        """Expected squared errors over the squared height, 10, 20, … ms after the newest sample.
-
-        Empty where they are unknown.
-        """
-        size_n = self.height_n
-        if not size_n:
-            return []
-        scale = 1 / (size_n * size_n)
-        return [square_n2 * scale for square_n2 in self._predictor.squares_n2]
+    def expected(self) -> "ExpectedErrors | None":
+        """Errors to expect of the prediction, as of `Predictor`."""
+        return self._predictor.expected
 
     def observe(self, samples: ChannelSamples) -> None:
         """Take the samples of a frame, late or not."""

@@ -21,8 +21,9 @@ from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Expert
 from display_node.prediction.fir import Fir
 from display_node.prediction.grid import STEP_NS, GridCell, Rhythm
 from display_node.prediction.history import History
+from display_node.prediction.path_errors import PathErrors
 from display_node.prediction.r_waves import RWaveTime
-from display_node.prediction.stack import PathErrors, Stack
+from display_node.prediction.stack import Stack
 from display_node.prediction.transit import TransitTime
 from protocol.pieces import Pieces
 
@@ -32,8 +33,8 @@ CAPACITY = 8_192
 WARM_UP = 200
 # Differences up to this share of a value are its rounding.
 ROUNDING = 1e-12
-# The error is estimated over this number of beats within these limits in steps of learning; while
-# no rhythm is known, over the longer one.
+# The error of the last beat is that of this number of beats, within these limits in steps of
+# learning; while no rhythm is known, of the longer one.
 JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 100, 200
 
 
@@ -139,7 +140,7 @@ class Ensemble(ChannelPath):
         yield
         artefact = self._artefacts.present
         if history.count % SPACING == 0:
-            self._errors.add(history.newest_of_each, self._ahead)
+            self._errors.add(history.newest_of_each, self._ahead, history.heights(), artefact)
             if self._announced:
                 values = history.last(FURTHEST + 1)[::SPACING].astype(np.float64)
                 self._announced.learn(values, artefact)
@@ -188,9 +189,8 @@ class Ensemble(ChannelPath):
         if interval is not None:
             steps = round(JUDGED_BEATS / SPACING * interval)
             steps = min(max(steps, FEWEST_JUDGED), MOST_JUDGED)
-        means = self._errors.mean_squares(steps)
-        for path, squares in zip(self._paths, means, strict=True):
-            path.squares_n2 = (path.scale**2 * squares).tolist()
+        for channel, path in enumerate(self._paths):
+            path.expected = self._errors.expected(channel, path.scale, steps)
 
     @np.errstate(all="ignore")
     def _settle(self, number: int, values: list[float]) -> None:

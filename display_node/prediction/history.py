@@ -11,6 +11,8 @@ Floats = NDArray[np.float64]
 # Recent values are those of the last 5 s; their range is widened on both sides by this share of it.
 RECENT: Final = 1_000
 MARGIN: Final = 0.25
+# Values that contain the pulse's height: those of the last 4 s, as in the scores.
+HEIGHT: Final = 800
 # Count of a value that was never there.
 NEVER: Final = -(1 << 62)
 
@@ -116,6 +118,13 @@ class History:
     def ranges(self, ranges: Floats) -> None:
         """Write the widened range of each channel's recent values, low and high."""
         find_ranges(self.buffer, self.end, min(RECENT, self.count), ranges)
+
+    def heights(self) -> Floats:
+        """Return the height of each channel's pulse: the range of the last 4 s."""
+        ranges = np.empty((2, self.channels))
+        find_ranges(self.buffer, self.end, min(HEIGHT, self.count), ranges)
+        heights: Floats = (ranges[1] - ranges[0]) / (1 + 2 * MARGIN)
+        return heights
 
     def last(self, count: int) -> NDArray[np.float32]:
         """Return a view of the newest `count` values (at most `capacity`), valid until a push."""

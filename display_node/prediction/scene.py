@@ -16,6 +16,7 @@ from display_node.prediction import (
 from protocol.config.kinds import KindGroup, KindTable, OfKind
 
 if TYPE_CHECKING:
+    from display_node.prediction.path_errors import ExpectedErrors
     from display_node.prediction.r_waves import RWaveTime
     from display_node.prediction.transit import TransitTime
 
@@ -54,7 +55,7 @@ class OwnPredictorScene(PredictorScene):
 class BasePredictor:
     """Base of predictors without an estimate of their error, to be completed by two methods."""
 
-    squares_n2: Sequence[float] = ()
+    expected: "ExpectedErrors | None" = None
     transit: "TransitTime | None" = None
 
     def observe(self, times_ns: list[int], values: list[float]) -> None:

@@ -1,6 +1,5 @@
-"""Combination of trajectories by least squares, and the errors of the paths that it makes."""
+"""Combination of trajectories by least squares."""
 
-import math
 from typing import Final
 
 import numpy as np
@@ -36,10 +35,6 @@ OWN_RIDGE: Final = 40.0
 LEAST_RIDGE: Final = 1e-9
 # The weights are computed anew after this number of steps, some 60 ms.
 SOLVED = 5
-# Squared errors are limited to this in their sums, in units of the signal's variance.
-WORST: Final = 1e4
-# Steps whose errors are kept: above the longest window of an estimate of the error.
-ERRORS: Final = 256
 
 
 @kernel(f"void({TABLE}, {CUBE}, {FLOATS}, {TABLE}, {CUBE}, int64, {TABLE}, {TABLE})")
@@ -210,60 +205,3 @@ class Stack:
                 solve_weights(self._products, self._trust, RIDGE, self._weights)
         made[:] = self._members
         self._counts[place] = NEVER if artefact else history.count
-
-
-@kernel(f"void({CUBE}, {CUBE}, int64, {FLOATS}, {TABLE})")
-def add_errors(paths: Floats, sums: Floats, steps: int, newest: Floats, made: Floats) -> None:
-    """Add the squared errors that the newest values show to the running sums, and keep new paths.
-
-    paths: shape (channels, 25, 25), by step and horizon. sums: shape (channels, `ERRORS`, 25).
-    """
-    before, after = steps % ERRORS, (steps + 1) % ERRORS
-    for channel in range(len(paths)):
-        for horizon in range(HORIZONS):
-            square = 0.0
-            if horizon < steps:
-                path = paths[channel, (steps - 1 - horizon) % HORIZONS, horizon]
-                square = (newest[channel] - path) ** 2
-                # An error that is no number is the worst, too.
-                square = square if square < WORST else WORST
-            sums[channel, after, horizon] = sums[channel, before, horizon] + square
-        paths[channel, steps % HORIZONS] = made[channel]
-
-
-@kernel(f"void({CUBE}, int64, int64, {TABLE})")
-def average_errors(sums: Floats, count: int, steps: int, means: Floats) -> None:
-    """Write the mean squared errors of the last steps, of `count` so far, as `mean_squares`."""
-    newest, before = count % ERRORS, (count - steps) % ERRORS
-    for channel in range(len(sums)):
-        for horizon in range(HORIZONS):
-            total = sums[channel, newest, horizon] - sums[channel, before, horizon]
-            # The nearest horizons were the first to be predicted.
-            known = horizon < count - steps
-            means[channel, horizon] = max(total, 0.0) / steps if known else math.inf
-
-
-class PathErrors:
-    """Squared errors of the last paths of each channel, once their values have come."""
-
-    def __init__(self, channels: int) -> None:
-        # The paths of the last steps, and running sums of their squared errors, by step and
-        # horizon.
-        self._paths = np.zeros((channels, HORIZONS, HORIZONS))
-        self._sums = np.zeros((channels, ERRORS, HORIZONS))
-        self._steps = 0
-
-    def add(self, newest: Floats, paths: Floats) -> None:
-        """Judge the last paths by the newest values, shape (channels,), and keep new ones."""
-        add_errors(self._paths, self._sums, self._steps, newest, paths)
-        self._steps += 1
-
-    def mean_squares(self, steps: int) -> Floats:
-        """Return the mean square error at each horizon over the last steps, fewer than `ERRORS`.
-
-        It has the shape (channels, horizons), and is infinite at horizons at which fewer values
-        have been predicted.
-        """
-        means = np.empty((len(self._sums), HORIZONS))
-        average_errors(self._sums, self._steps, steps, means)
-        return means

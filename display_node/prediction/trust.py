@@ -1,15 +1,26 @@
 """Choice of the perceived delay E from the errors that the predictor expects. Pure.
 
-`Trust` chooses the perceived delay E for `compensation = "auto"`. With the age of the newest sample
-at each tick and the error that the predictor expects at each horizon, it computes the expected
-error for every E. The chosen E is the smallest at which a finger does not notice this error.
+`Trust` combines the age of the newest sample at each tick with the errors that the predictor
+expects at each horizon (`path_errors.py`) to those of every E, and chooses:
+
+- `compensation = "auto"`: the E of the least error in phase, among those at which a finger notices
+  an error of the prediction for at most a share of the time. Where there is none, the E at which it
+  notices one for the least time.
+- `compensation = "shape"`: the least E at which the prediction changes no shape of the pulse.
 """
 
 import math
 import statistics
 from collections import deque
 from collections.abc import Sequence
-from operator import mul
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from display_node.prediction.path_errors import ExpectedErrors
+
+Floats = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 # A window contains a whole beat down to 30 beats a minute; an artefact affects one or two windows.
 WINDOW_NS = 2_000_000_000
@@ -46,108 +57,145 @@ class PulseSize:
 # Distance of the delays that are compared, and of the horizons of the predictor's errors.
 STEP_NS = 10_000_000
 HORIZONS = 25
-# Bounds of the RMSE as a share of the pulse's height. With them the pulse felt differs by about
-# 1 % more from the pulse E earlier than without prediction. A finger notices differences above 7 to
-# 10 %, and peak errors are 2.5 times the RMSE.
-RISE_ABOVE, FALL_BELOW = 0.018, 0.012
-# RMSE of longer horizons, as a share of the height.
-WORST = 0.3
-# E falls to what was possible during all of the last second: the error changes within a beat.
-CALM_STEPS = 100
+CELL_NS = 5_000_000
 AGES_MEMORY_S = 1.5
 KEPT = math.exp(-STEP_NS * 1e-9 / AGES_MEMORY_S)
 # Greatest reduction of E by trust: above 0.5 s the playout would jump instead of slewing.
 MOST_NS = 400_000_000
 # Ages beyond the longest horizon at the greatest reduction count alike.
 AGES = HORIZONS + MOST_NS // STEP_NS + 2
+DelayChoice = Literal["auto", "shape"]
+"""How `compensation` chooses E."""
 
 
-class Trust:
-    """Choice of the smallest perceived delay E at which prediction errors go unnoticed.
+class LeastError:
+    """Choice of the E of the least error in phase, for `compensation = "auto"`.
 
-    E rises at once when its expected error exceeds 1.8 % of the pulse's height. It falls when a
+    noticed_target: greatest share of the time in which a finger may notice an error of the
+    prediction.
+    """
+
+    def __init__(self, noticed_target: float) -> None:
+        # Imported here, since its kernels need numba, as every predictor that is trusted.
+        from display_node.prediction.path_errors import expect_by_delay
+
+        self._noticed_target, self._expect = noticed_target, expect_by_delay
+
+    def steps(self, ages: Floats, most: int, expected: "Sequence[ExpectedErrors]") -> int:
+        """Return the steps of E, up to `most`.
+
+        ages: shape (AGES,), weight of each age of the newest sample, in steps. expected: errors of
+        each contactor.
+        """
+        in_phase, noticed = np.zeros((2, min(most, AGES - 1) + 1))
+        for each in expected:
+            squares, shares = self._expect(ages, each.in_phase_n2, each.noticed, len(in_phase))
+            in_phase += squares / each.height_n**2
+            np.maximum(noticed, shares, out=noticed)
+        allowed = noticed <= self._noticed_target
+        if not allowed.any():
+            return int(noticed.argmin())
+        return int(np.where(allowed, in_phase, np.inf).argmin())
+
+
+# Bounds of the RMSE as a share of the pulse's height, for "shape". With them the pulse felt differs
+# by about 1 % more from the pulse E earlier than without prediction.
+RISE_ABOVE, FALL_BELOW = 0.018, 0.012
+# RMSE of longer horizons, as a share of the height.
+WORST = 0.3
+# E falls to what was possible during all of the last second: the error changes within a beat.
+CALM_STEPS = 100
+
+
+class KeptShape:
+    """Choice of the least E at which no shape of the pulse is lost, for `compensation = "shape"`.
+
+    E rises at once when its expected RMSE exceeds 1.8 % of the pulse's height. It falls when a
     smaller E had less than 1.2 % during all of the last second.
-
-    given: whether prediction replaces a part of the delay that the link requires.
     """
 
     def __init__(self) -> None:
-        # Time in ns that the newest sample spent at each age, by steps; older times count less.
-        self._ages = [0.0] * AGES
-        self._last_ns: int | None = None
-        self._next_ns = 0
-        self._rise_to = self._fall_to = 0
         # Sliding maximum: numbers of evaluations rise and delays fall, so the first is the largest.
         self._calm = deque([(0, AGES)])
         self._evaluations = 0
         self._steps = AGES
+        horizon = np.arange(AGES)[:, np.newaxis] - np.arange(AGES)
+        self._horizons = np.clip(horizon, 0, HORIZONS + 1)
+
+    def steps(self, ages: Floats, most: int, expected: "Sequence[ExpectedErrors]") -> int:
+        """Return the steps of E, as `LeastError` does."""
+        most = min(most, AGES - 1)
+        square = np.zeros(HORIZONS + 2)
+        square[-1] = WORST**2
+        for each in expected:
+            shares = each.squares_n2 / each.height_n**2
+            np.maximum(square[1:-1], np.minimum(shares, WORST**2), out=square[1:-1])
+        errors = ages @ square[self._horizons[:, : most + 1]] / ages.sum()
+        rise_to, fall_to = (
+            int(np.argmax(errors <= bound**2)) for bound in (RISE_ABOVE, FALL_BELOW)
+        )
+        self._steps = min(max(self._steps, rise_to), self._longest_of_last_second(fall_to))
+        return min(self._steps, most)
+
+    def _longest_of_last_second(self, fall_to: int) -> int:
+        calm = self._calm
+        self._evaluations += 1
+        while calm and calm[-1][1] <= fall_to:
+            calm.pop()
+        calm.append((self._evaluations, fall_to))
+        if calm[0][0] <= self._evaluations - CALM_STEPS:
+            calm.popleft()
+        return calm[0][1]
+
+
+class Trust:
+    """Reduction of the delay that the link requires, by a predictor that is trusted.
+
+    given: whether prediction replaces a part of that delay.
+    """
+
+    def __init__(self, choice: DelayChoice = "auto", noticed_target: float = 0.02) -> None:
+        self._choice = LeastError(noticed_target) if choice == "auto" else KeptShape()
+        # Time in ns that the newest sample spent at each age, by steps; older times count less.
+        self._ages = np.zeros(AGES)
+        self._last_ns: int | None = None
+        self._next_ns = self._required_ns = 0
+        self._steps = AGES
         self.given = False
 
-    def observe(self, now_ns: int, age_ns: int) -> bool:
-        """Count the age of the newest sample at a tick; return whether to call `evaluate` now."""
-        if self._last_ns is not None:
-            steps = -(-age_ns // STEP_NS)
-            self._ages[min(max(steps, 0), AGES - 1)] += now_ns - self._last_ns
-        self._last_ns = now_ns
-        return now_ns >= self._next_ns
+    def observe(self, now_ns: int, age_ns: int, required_ns: int) -> int:
+        """Count the age of the newest sample at a tick, and return E in ns.
 
-    def evaluate(self, now_ns: int, required_ns: int, error_shares: Sequence[float]) -> None:
-        """Choose E anew.
-
-        Parameters
-        ----------
-        required_ns
-            Delay in ns that the link requires without prediction.
-        error_shares
-            Expected squares of the error over the square of the pulse's height, at 10, 20, …
-            250 ms after the newest sample; empty where unknown.
+        required_ns: delay that the link requires without prediction.
         """
-        self._next_ns = now_ns + STEP_NS
-        # At least one step: the few milliseconds of a local network are predicted as well.
-        most = max(required_ns // STEP_NS, 1)
-        if not error_shares:
-            self._rise_to = self._fall_to = most
-        else:
-            worst = WORST**2
-            squares = [worst if share > worst else share for share in error_shares]
-            self._rise_to = self._least(self._rise_to, most, squares, RISE_ABOVE)
-            self._fall_to = self._least(self._fall_to, most, squares, FALL_BELOW)
-        self._ages = [age * KEPT for age in self._ages]
-        calm_to = self._longest_of_last_second()
-        self._steps = min(max(self._steps, self._rise_to), calm_to, most)
-        self.given = self._steps < most
-
-    def delay_ns(self, required_ns: int) -> int:
-        """Return E in ns for the delay in ns that the link requires without prediction."""
+        if self._last_ns is not None:
+            elapsed_ns, ages = now_ns - self._last_ns, self._ages
+            # A path counts from the middle of the newest cell.
+            steps = min(max((age_ns + CELL_NS // 2) / STEP_NS, 0.0), AGES - 1.001)
+            whole = int(steps)
+            ages[whole] += (whole + 1 - steps) * elapsed_ns
+            ages[whole + 1] += (steps - whole) * elapsed_ns
+        self._last_ns, self._required_ns = now_ns, required_ns
         if not self.given:
             return required_ns
         return max(min(self._steps * STEP_NS, required_ns), required_ns - MOST_NS)
 
-    def _least(self, near: int, most: int, squares: list[float], bound: float) -> int:
-        """Return the fewest steps of E, up to `most`, with an RMSE of at most `bound`.
+    @property
+    def due(self) -> bool:
+        """Whether to call `choose`: a step has passed since the last choice."""
+        return self._last_ns is not None and self._last_ns >= self._next_ns
 
-        The search begins near the last result, because it changes slowly.
+    def choose(self, expected: "Sequence[ExpectedErrors | None]") -> None:
+        """Choose E anew, after the last tick's command.
+
+        expected: errors to expect of the prediction of each contactor; None where unknown.
         """
-        limit = bound * bound * sum(self._ages)
-        steps = min(near, most)
-        while steps < most and self._error(steps, squares) > limit:
-            steps += 1
-        while steps > 0 and self._error(steps - 1, squares) <= limit:
-            steps -= 1
-        return steps
-
-    def _error(self, steps: int, squares: list[float]) -> float:
-        """Return the time integral of the squared error in ns at an E of some steps."""
-        later = self._ages[steps + 1 :]
-        predicted: float = sum(map(mul, later, squares))
-        return predicted + WORST**2 * sum(later[HORIZONS:])
-
-    def _longest_of_last_second(self) -> int:
-        calm = self._calm
-        self._evaluations += 1
-        while calm and calm[-1][1] <= self._fall_to:
-            calm.pop()
-        calm.append((self._evaluations, self._fall_to))
-        if calm[0][0] <= self._evaluations - CALM_STEPS:
-            calm.popleft()
-        return calm[0][1]
+        self._next_ns = (self._last_ns or 0) + STEP_NS
+        # At least one step: the few milliseconds of a local network are predicted as well.
+        most = max(self._required_ns // STEP_NS, 1)
+        known = [each for each in expected if each is not None]
+        self._steps = most
+        if len(known) == len(expected) and self._ages.any():
+            self._steps = self._choice.steps(self._ages, most, known)
+        self._ages *= KEPT
+        self.given = self._steps < most

@@ -22,14 +22,14 @@ from display_node.scoring.roughness import RoughnessMeter
 from display_node.scoring.waiting_ticks import BLOCK, BLOCK_NS, WaitingTicks
 from protocol.pieces import Pieces
 from protocol.summary.fields import ErrorWindow, Loop, RmsErrors, Summary
+from protocol.tactile import JND
 from protocol.wire.messages import ChannelSamples
 
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 # Largest gap of a pulse that is interpolated; within a larger one (a cut link) no error is known.
 MAX_GAP_NS: Final = 60_000_000
-# Just noticeable difference, as a share of the pulse's peak to peak in this time or more.
-JND: Final = 0.10
+# The pulse's peak to peak is taken over this time or more.
 SPAN_NS: Final = 2_000_000_000
 
 

@@ -185,15 +185,22 @@ class TerminalView:
             return [_account_text(summary)]
         rates = [f"{rate:.0f}" for rate in self.heart_rates_per_min if rate is not None]
         press, delay_ms = self._press_text(), self._delay_ms()
-        predicted = " by prediction" if self._trusted else ""
         return [
             f"heart rate {', '.join(rates)} /min" if rates else "",
             self._force_text(),
             f"press {press}" if press else "",
-            "" if delay_ms is None else f"delay {delay_ms:.1f} ms{predicted}",
+            "" if delay_ms is None else f"delay {delay_ms:.1f} ms{self._shortened(delay_ms)}",
             _missing_text(summary),
             f"telemetry not readable {self.unreadable} times" if self.unreadable else "",
         ]
+
+    def _shortened(self, delay_ms: float) -> str:
+        """Return the network's delay where prediction makes that of the finger shorter."""
+        summary = {} if self.status is None else self.status.summary
+        network_ms = summary.get("one_way_delay_ms", {}).get("p50")
+        if not self._trusted or network_ms is None or network_ms <= delay_ms:
+            return ""
+        return f" (network {network_ms:.1f})"
 
     def _force_text(self) -> str:
         """Return the felt force against the target, of each contactor."""

@@ -94,6 +94,8 @@ def _row(key: str, field_name: str, field: FieldInfo, is_table: bool) -> str:
         default = _default(field, dimension, is_table)
     if _takes_auto(field):
         what, default = f'{what} or `"auto"`', '`"auto"`'
+    if dimension and (words := list(_words(field.annotation))):
+        what = " or ".join([what, *(f'`"{word}"`' for word in words)])
     return f"| `{key}` | {what} | {default} | {_bounds(field, dimension)} |"
 
 
@@ -107,6 +109,15 @@ def _takes_auto(field: FieldInfo) -> bool:
     with suppress(ValueError, TypeError):
         return any(reader("auto") is None for reader in readers)  # type: ignore[call-arg]
     return False
+
+
+def _words(annotation: Any) -> Iterator[str]:
+    """Yield the words that may stand in place of a number."""
+    if get_origin(annotation) is Literal:
+        yield from (word for word in get_args(annotation) if isinstance(word, str))
+        return
+    for part in get_args(annotation):
+        yield from _words(part)
 
 
 def _explained(section: type[Section]) -> str:

@@ -11,11 +11,11 @@ import rich.box
 import typer
 from rich.table import Table
 
-from display_node.scoring.tracking_error import JND
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError
 from protocol.host.output import check_writable, configure_logging, write_whole
+from protocol.tactile import JND
 from sensing_node.scene import load_sensing
 from telepulse.cli.options import PROGRAM, SeedOption, TablesOption
 from telepulse.cli.progress import SimulationProgress
@@ -128,13 +128,20 @@ def _tables(study: RecordStudy) -> Iterator[Table]:
     for each in study.ahead:
         ahead.add_row(f"{each.ahead_ms} ms", error(each.predicted_n), error(each.held_n))
     yield ahead
-    title = "Felt at the finger: force RMSE; samples that came late, and that were lost"
-    played = _table(title, "", "delay", "in phase", "aligned", "late", "lost")
+    title = (
+        "Felt at the finger: force RMSE, time in which a finger notices the aligned error,\n"
+        "samples late and lost"
+    )
+    played = _table(title, "", "delay", "in phase", "aligned", "noticed", "late", "lost")
     for playout in study.playouts:
         delay = "–" if playout.delay_ms is None else f"{playout.delay_ms:z.1f} ms"
-        errors = error(playout.in_phase_n), error(playout.aligned_n)
-        shares = (f"{100 * each:.1f} %" for each in (playout.late, playout.lost))
-        played.add_row(playout.name, delay, *errors, *shares)
+        aligned_n = playout.aligned_n
+        aligned = None if aligned_n is None else aligned_n / study.height_n
+        shares = (
+            "–" if each is None else f"{100 * each:.1f} %"
+            for each in (aligned, playout.noticed, playout.late, playout.lost)
+        )
+        played.add_row(playout.name, delay, error(playout.in_phase_n), *shares)
     yield played
 
 

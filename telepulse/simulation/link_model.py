@@ -9,7 +9,7 @@ from bisect import bisect_right
 from random import Random
 from typing import Final
 
-from telepulse.simulation.link_scene import LinkScene
+from telepulse.simulation.link_scene import LinkScene, Wander
 
 # Tail of the Pareto jitter: P(X > x) ∝ x⁻³. 3 is the smallest integer exponent with a finite
 # standard deviation, which `jitter` gives.
@@ -59,6 +59,27 @@ class GilbertElliott:
         self._edges_ns.append(self._edges_ns[-1] + length_ns)
 
 
+class WanderingDelay:
+    """A delay of 0 to `by`, linear between random values that are `over` apart.
+
+    It depends on the seed and the time alone, not on the traffic. Times may be queried in any
+    order.
+    """
+
+    def __init__(self, wander: Wander, random: Random, start_ns: int) -> None:
+        self._wander, self._random, self._start_ns = wander, random, start_ns
+        self._values_ns = [0]
+
+    def at(self, now_ns: int) -> int:
+        """Return the delay in ns at a time."""
+        wander, values_ns = self._wander, self._values_ns
+        number, into_ns = divmod(max(now_ns - self._start_ns, 0), wander.over_ns)
+        while len(values_ns) < number + 2:
+            values_ns.append(round(self._random.uniform(0, wander.by_ns)))
+        before_ns, after_ns = values_ns[number : number + 2]
+        return before_ns + (after_ns - before_ns) * into_ns // wander.over_ns
+
+
 class Direction:
     """One direction of a link; with the same seed the same packets have the same fate.
 
@@ -80,6 +101,9 @@ class Direction:
             mean_ns = max(1, round(scene.jitter_ns / _STALL_DEVIATION))
             random = Random(f"jitter {seed}")
             self._stalls = GilbertElliott(STALLED_SHARE, mean_ns, random, start_ns)
+        self._wander = None
+        if scene.wander is not None:
+            self._wander = WanderingDelay(scene.wander, Random(f"wander {seed}"), start_ns)
         self.lost = 0
 
     def arrival_ns(self, now_ns: int, size_bytes: int) -> int | None:
@@ -108,6 +132,7 @@ class Direction:
 
     def propagate_reliably(self, at_ns: int) -> int:
         """Return the arrival of a packet that leaves the queue at `at_ns` and cannot be lost."""
+        at_ns += self._stalled_ns(at_ns)
         arrival_ns = at_ns + max(0, self.base_ns(at_ns) + self._jitter_ns(at_ns))
         reorder = self._scene.reorder
         if reorder is not None and self._random.random() < reorder.share:
@@ -128,11 +153,19 @@ class Direction:
         return self._start_ns + cut.from_ns + cut.for_ns
 
     def base_ns(self, at_ns: int) -> int:
-        """Return the delay without jitter."""
+        """Return the delay without jitter and stalls."""
         change, delay_ns = self._scene.route_change, self._scene.delay_ns
         if change is not None and at_ns - self._start_ns >= change.at_ns:
             delay_ns = max(0, delay_ns + change.by_ns)
-        return delay_ns
+        return delay_ns if self._wander is None else delay_ns + self._wander.at(at_ns)
+
+    def _stalled_ns(self, at_ns: int) -> int:
+        """Return the time until the end of a regular stall; 0 outside of one."""
+        stall = self._scene.stall
+        if stall is None:
+            return 0
+        ahead_ns = stall.every_ns - (at_ns - self._start_ns) % stall.every_ns
+        return ahead_ns if ahead_ns <= stall.for_ns else 0
 
     def _jitter_ns(self, at_ns: int) -> int:
         jitter_ns = self._scene.jitter_ns

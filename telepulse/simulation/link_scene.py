@@ -47,6 +47,26 @@ class Cut(Section):
     for_ns: LinkTime
 
 
+class Stall(Section):
+    """A stall for the time `for` in each period `every`, at its end; then everything arrives."""
+
+    for_ns: PositiveDuration
+    every_ns: Annotated[Nanoseconds, Field(gt=0, le=3_600_000_000_000)]
+
+    @model_validator(mode="after")
+    def _something_passes(self) -> Self:
+        if self.for_ns >= self.every_ns:
+            raise ValueError("every must be longer than for, or nothing ever arrives in time")
+        return self
+
+
+class Wander(Section):
+    """A delay that wanders by up to `by` more, and changes its direction each time `over`."""
+
+    by_ns: PositiveDuration
+    over_ns: PositiveDuration
+
+
 class LinkScene(Section):
     """Impairments of a link.
 
@@ -54,7 +74,8 @@ class LinkScene(Section):
     "gaussian" jitter may shorten or lengthen the delay; "pareto" (a heavy tail) and "bursts" (the
     link stalls, then everything arrives at once) only lengthen it. loss: share of packets that are
     lost at random. rate: capacity of the link; a packet that would wait in its queue for more than
-    200 ms is lost. Times count from the beginning of the link; a simulation's link begins 0.5 s
+    200 ms is lost. stall: the link stalls at regular times. wander: the delay wanders slowly, as in
+    a mobile network. Times count from the beginning of the link; a simulation's link begins 0.5 s
     before the stream. transport: how a simulation carries messages, as "datagram"s that may be lost
     or reordered, or as a "tcp" stream.
     """
@@ -68,6 +89,8 @@ class LinkScene(Section):
     rate_bit_per_s: Annotated[BitsPerSecond | None, Field(ge=1e3, le=1e10)] = None
     route_change: RouteChange | None = None
     cut: Cut | None = None
+    stall: Stall | None = None
+    wander: Wander | None = None
     transport: Literal["datagram", "tcp"] = "datagram"
 
     @model_validator(mode="after")

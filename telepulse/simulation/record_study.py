@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from display_node.prediction import Predictor, PredictorName, build_predictors
 from display_node.prediction.r_waves import RWaveDetector
 from display_node.prediction.scene import own_predictor
-from display_node.scoring.tracking_error import JND
+from display_node.prediction.trust import DelayChoice
 from protocol.errors import SourceError
-from protocol.tactile import matching_force_ratio
+from protocol.tactile import JND, matching_force_ratio
 from protocol.ticks import TickState
 from sensing_node.scene import build_source, describe_stream
 from sensing_node.sources.recorded import beat_height
@@ -27,9 +27,9 @@ AHEAD_MS: Final = (20, 50, 100, 150, 200)
 PREDICTOR: Final[PredictorName] = "stack"
 # Name, predictor and E in ns of each playout; None chooses E. Nothing trusts `linear`, so that
 # with it E covers the link's whole delay.
-PLAYOUTS: Final[tuple[tuple[str, PredictorName, int | None], ...]] = (
-    ("buffered", "linear", None),
-    ('E = "auto"', PREDICTOR, None),
+PLAYOUTS: Final[tuple[tuple[str, PredictorName, int | DelayChoice], ...]] = (
+    ("buffered", "linear", "auto"),
+    ('E = "auto"', PREDICTOR, "auto"),
     ("E = 0", PREDICTOR, 0),
 )
 
@@ -47,7 +47,8 @@ class FeltPlayout:
     """Figures of the force felt with a playout; None where nothing was felt.
 
     delay_ms: mean perceived delay. in_phase_n, aligned_n: RMS errors of the felt force, against the
-    present pulse and against the one that long ago. late: share of the samples that arrived after
+    present pulse and against the one that long ago. noticed: share of the time in which a finger
+    notices the latter error. late: share of the samples that arrived after
     their instant, which was felt from a prediction. lost: share that never arrived.
     """
 
@@ -55,6 +56,7 @@ class FeltPlayout:
     delay_ms: float | None
     in_phase_n: float | None
     aligned_n: float | None
+    noticed: float | None
     late: float
     lost: float
 
@@ -75,28 +77,20 @@ class RecordStudy:
     @property
     def advice(self) -> str:
         """Advice on `compensation`, with the error that would be felt."""
-        buffered, auto, at_once = self.playouts
-        if auto.in_phase_n is None or auto.aligned_n is None or auto.delay_ms is None:
+        buffered, auto, _ = self.playouts
+        if auto.in_phase_n is None or buffered.in_phase_n is None:
             return "Nothing would be felt over this link."
-        felt = (
-            f"the pulse is felt {auto.delay_ms:z.0f} ms late, with an error of"
-            f" {self._share(auto.in_phase_n)} of its height against the present pulse (a finger"
-            f" notices some {100 * JND:.0f} %)"
+        alone = self._share(buffered.in_phase_n)
+        advice = (
+            f'Leave compensation = "auto": the pulse is felt {auto.delay_ms or 0:z.0f} ms after the'
+            f" wrist, off by {self._share(auto.in_phase_n)} of its height in phase, and a finger"
+            f" notices an error (of {100 * JND:.0f} % or more) for"
+            f" {100 * (auto.noticed or 0):.1f} % of the time. Buffered alone it is felt"
+            f" {buffered.delay_ms or 0:.0f} ms after the wrist, off by {alone} in phase"
         )
-        if auto.in_phase_n <= JND * self.height_n:
-            alone = f"buffered alone, it would be felt {buffered.delay_ms or 0:.0f} ms late"
-            return f'Leave compensation = "auto": {felt}; {alone}.'
-        if at_once.in_phase_n is not None and at_once.in_phase_n <= JND * self.height_n:
-            error = self._share(at_once.in_phase_n)
-            return (
-                f'With compensation = "auto" {felt}. With compensation = "0 s" the error is'
-                f" {error}, but nothing then checks the prediction."
-            )
-        return (
-            f'Leave compensation = "auto": this pulse is not predicted well enough to be felt at'
-            f" once, so {felt}; the error against the pulse of that moment is"
-            f" {self._share(auto.aligned_n)}."
-        )
+        if auto.in_phase_n > JND * self.height_n:
+            advice += "; this pulse cannot be predicted well enough to be felt at once"
+        return f"{advice}."
 
     def _share(self, force_n: float) -> str:
         return f"{100 * force_n / self.height_n:.1f} %"
@@ -214,6 +208,7 @@ def _play(
         float(np.mean(delays_ns)) * 1e-6 if delays_ns else None,
         errors.in_phase,
         errors.aligned,
+        None if summary.within_jnd is None else 1 - summary.within_jnd,
         ((samples.late or 0) + (samples.predicted or 0)) / sent,
         (samples.lost or 0) / sent,
     )

@@ -5,6 +5,8 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from display_node.prediction import Predictor
 from display_node.prediction.scene import PredictorScene
 from protocol.config.scene import validate
@@ -15,8 +17,8 @@ TICK_NS = 1_000_000
 FRAME = 5
 LEARNS_S = 8.0
 STEPS_AHEAD_MS = (1, 7, 20, 60, 150, 250, 1000)
-# Horizons at which `squares_n2` has the expected errors, and one at which `error_n` is asked.
-SQUARES = 25
+# Shapes of the expected errors, and a horizon at which `error_n` is asked.
+SHAPES = {"squares_n2": (25,), "in_phase_n2": (26, 26), "noticed": (26,)}
 HORIZON_NS = 50 * TICK_NS
 LARGEST_N = 1e3
 
@@ -66,19 +68,23 @@ def _check_instances(table: PredictorScene, pulse_n: list[float], predicted_n: l
 
 
 def _check_error(table: PredictorScene, predictor: Predictor) -> None:
-    error_n, squares = predictor.error_n(HORIZON_NS), predictor.squares_n2
+    error_n, expected = predictor.error_n(HORIZON_NS), predictor.expected
     require(
         error_n is None or (math.isfinite(error_n) and error_n >= 0),
         f"error_n returns {error_n}, not a finite error or None",
     )
     require(
-        len(squares) in (0, SQUARES) and all(each >= 0 for each in squares),
-        f"squares_n2 has {len(squares)} values: none, or {SQUARES} that are not negative",
+        not table.estimates_error or (expected is not None and error_n is not None),
+        f"estimates_error is true, and after {LEARNS_S:g} s of a regular pulse there is none",
     )
-    if table.estimates_error:
+    if expected is None:
+        return
+    for name, shape in SHAPES.items():
+        values = np.asarray(getattr(expected, name))
         require(
-            len(squares) and error_n is not None,
-            f"estimates_error is true, and after {LEARNS_S:g} s of a regular pulse there is none",
+            values.shape == shape and bool((values >= 0).all()),
+            f"expected.{name} has the shape {values.shape}, or values below 0: it must have the"
+            f" shape {shape}, and none",
         )
 
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from display_node.scoring.beat_quality import GOOD
-from display_node.scoring.tracking_error import JND
 from display_node.telemetry.alerts import (
     SILENT_AFTER_NS,
     Alert,
@@ -24,6 +23,7 @@ from protocol.summary.figures import Surface, figures_on
 from protocol.summary.figures import figures as summary_figures
 from protocol.summary.phrases import NEWTONS, SHARE, limit_texts
 from protocol.summary.rows import summary_rows
+from protocol.tactile import JND
 from telepulse.telemetry.decoder import Fields
 from telepulse.telemetry.events import CUT_AFTER_NS, REFUSALS
 from telepulse.view.depth import DepthState, levels
@@ -248,7 +248,10 @@ def _within(scores: Scores, window: str) -> PageFigure:
     """Return the share within the JND, and the share of the window that it refers to."""
     if scores.within_jnd is None or scores.judged is None:
         return PageFigure(NOTHING, f"of {window}, none of which could be judged")
-    note = f"of the {SHARE.text(scores.judged)} of {window} that could be judged"
+    note = (
+        f"a finger notices an error for {SHARE.text(1 - scores.within_jnd)} of the time, of the"
+        f" {SHARE.text(scores.judged)} of {window} that could be judged"
+    )
     return PageFigure(SHARE.text(scores.within_jnd), note)
 
 

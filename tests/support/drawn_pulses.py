@@ -62,7 +62,8 @@ class Beats(NamedTuple):
 class Pulse:
     """A pulse as sensed, and the same without noise, in units of its standard deviation.
 
-    rate_hz: of both. frame: number of samples in a frame.
+    rate_hz: of both. frame: number of samples in a frame. A sample that is lost, in a gap, is not a
+    number in `sensed`.
     """
 
     name: str

@@ -29,8 +29,8 @@ FINE = Summary(
     playout_delay_ms=PlayoutDelay(mean=6.82),
     beats=BeatFigures(count=17, rate_per_min=75.6, height_n=0.6, height_at_finger_n=0.3),
     clock=Clock(offset_ms=0.01),
-    force_rmse_n=RmsErrors(aligned=0.0009),
-    within_jnd=1.0,
+    force_rmse_n=RmsErrors(aligned=0.0009, in_phase=0.0321),
+    within_jnd=0.996,
     availability=Availability(
         16.0, felt=0.9, starting=0.02, waiting=0.05, ended=0.03, missed=0.001, played=0.92
     ),
@@ -46,9 +46,9 @@ def test_a_good_run_is_told_in_five_lines() -> None:
             "The pulse was felt for 14.4 of 16.0 s, at 76 beats a minute; start and end took 1.6"
             " s.",
             "The force was off by 0.9 mN (force RMSE, aligned), 0.3 % of the pulse's height; a"
-            " finger notices 10 % or more.",
-            "The finger felt the pulse 6.8 ms after the wrist on average; the network took 0.8 ms"
-            " (99 % within 3.2 ms).",
+            " finger notices 10 % or more, for 0.4 % of the time.",
+            "The finger felt the pulse 6.8 ms after the wrist on average, off by 32.1 mN in phase;"
+            " the network took 0.8 ms (99 % within 3.2 ms).",
             "None of the 15000 samples was lost or came too late.",
             "Nothing is wrong.",
         ),

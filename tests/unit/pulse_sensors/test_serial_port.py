@@ -1,5 +1,6 @@
 import errno
 import os
+from collections.abc import Callable
 from contextlib import closing
 from typing import Any
 
@@ -34,15 +35,17 @@ def listed(name: str, usb: tuple[int, int, str | None] | None = None) -> ListPor
 
 
 class Line:
-    """A port as pyserial gives it, without a descriptor."""
+    """A port as pyserial gives it, without a descriptor; gone: is called before it raises."""
 
-    def __init__(self, *data: bytes | Exception) -> None:
-        self._data = list(data)
+    def __init__(self, *data: bytes | Exception, gone: Callable[[], None] | None = None) -> None:
+        self._data, self._gone = list(data), gone
         self.closed = False
 
     def read(self, size: int) -> bytes:
         data = self._data.pop(0) if self._data and size else b""
         if isinstance(data, Exception):
+            if self._gone is not None:
+                self._gone()
             raise data
         return data
 
@@ -167,16 +170,20 @@ def test_a_sensor_says_once_why_its_port_is_gone_and_finds_it_again(
 ) -> None:
     monkeypatch.setattr("pulse_sensors.sensor.REOPEN_EVERY_S", 0.001)
     machine.ports = [listed(NAME, UNO)]
-    machine.gives = Line(b"\n0.1\n", OSError("pulled"))
-    with closing(Sensor(SerialPort(scene()), scene().decoder(), scene())) as sensor:
+
+    def rename() -> None:
         machine.gives, machine.ports = failure(errno.ENOENT), [listed("/dev/ttyACM1", UNO)]
+
+    machine.gives = Line(b"\n0.1\n", OSError("pulled"), gone=rename)
+    with closing(Sensor(SerialPort(scene()), scene().decoder(), scene())) as sensor:
         blocks = received(sensor, 1)
         until(lambda: sensor.poll() or any("attempts" in fault for fault in sensor.faults()))
         _, reason = sensor.faults()
         assert "is now /dev/ttyACM1" in reason
         machine.gives = failure(errno.EBUSY)
         until(lambda: sensor.poll() or len(logged) == 3)
-        machine.gives, machine.ports = Line(b"\n0.2\n0.3\n"), [listed(NAME, UNO)]
+        machine.ports = [listed(NAME, UNO)]
+        machine.gives = Line(b"\n0.2\n0.3\n")
         blocks += received(sensor, 2)
         assert forces(blocks) == [0.1, 0.2, 0.3]
         (gone,) = sensor.faults()

@@ -10,7 +10,7 @@ from display_node.plant.contact import ContactLaw
 from display_node.plant.scene import FilmTable, StepperScene
 from protocol.config.scene_file import find_scene
 from telepulse.scene import load_scene
-from tests.support.scene_loops import BEAT_S, PEAK_N, press, stalls_always, stalls_at_times
+from tests.support.scene_loops import BEAT_S, PEAK_N, Host, press, stalls_always, stalls_at_times
 
 TICK_S = 1e-3
 LAW = ContactLaw(5e-3, 0.05e9 / 0.75, 1e3)
@@ -47,6 +47,18 @@ def test_the_error_is_in_the_scenes_unit(error: str, expected: float, response: 
 
 
 SCENES = ("radial", "real_bench", "tmcl_bench")
+
+
+@pytest.mark.parametrize(
+    "host",
+    [lambda *_: 3, lambda _, at_s: 3 * (at_s > 1), stalls_always(6)],
+    ids=["always", "suddenly", "1 to 6"],
+)
+def test_a_voltage_is_computed_for_the_time_for_which_it_is_held(host: Host) -> None:
+    """Computed for one tick, the paper's actuator reaches tens of newtons, and swings on."""
+    most_n, rmse_n = press(load_scene(find_scene("paper")).display, host, 5.0)
+    assert 0.5 * PEAK_N < most_n < HEADROOM * PEAK_N
+    assert rmse_n < 30e-3
 
 
 @pytest.mark.parametrize("name", SCENES)

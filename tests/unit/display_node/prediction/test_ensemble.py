@@ -7,7 +7,8 @@ from display_node.prediction import PredictorName, build_predictors
 from display_node.prediction.ensemble import Ensemble
 from display_node.prediction.expert import AHEAD, FURTHEST, HORIZONS, SPACING
 from display_node.prediction.history import History
-from display_node.prediction.stack import PathErrors, Stack
+from display_node.prediction.path_errors import PathErrors
+from display_node.prediction.stack import Stack
 from tests.support.drawn_pulses import Pulse
 from tests.support.finger_pulses import finger_pulses
 from tests.unit.display_node.prediction.pulse_signals import MS, T0_NS, Floats, beats, feed
@@ -49,7 +50,7 @@ def run(
         stacked = path - newest
         stack.learn(history)
         if errors is not None:
-            errors.add(np.array([newest]), path[np.newaxis])
+            errors.add(np.array([newest]), path[np.newaxis], np.ones(1))
         if step >= STEPS // 2:
             squares += (np.vstack([rows, stacked]) - coming) ** 2
     return np.sqrt(squares / (STEPS - STEPS // 2))
@@ -73,36 +74,13 @@ def test_a_stack_starts_with_its_initial_weights() -> None:
 
 def test_a_stacks_estimate_of_its_error_is_right() -> None:
     errors = PathErrors(1)
-    assert np.isinf(errors.mean_squares(200)).all()
+    assert errors.expected(0, 1.0, 100) is None
     rms = run(Stack(np.array([1.0])), gains=(1.0,), noise=0.2, errors=errors)
-    for horizon in (0, len(AHEAD) - 1):
-        estimate = math.sqrt(errors.mean_squares(200)[0, horizon])
-        assert estimate == pytest.approx(rms[-1][horizon], rel=0.1)
-
-
-def test_an_estimate_of_the_error_contains_no_older_step() -> None:
-    errors = PathErrors(2)
-    for step in range(1_000):
-        newest = float(step < 500)
-        errors.add(np.array([newest, 2 * newest]), np.zeros((2, HORIZONS)))
-        means = [errors.mean_squares(steps) for steps in (100, 200)]
-        first, last = (math.sqrt(each[0, 0]) for each in means)
-        assert [math.sqrt(each[1, 0]) for each in means] == [2 * first, 2 * last]
-        if step == 110:
-            assert math.isfinite(first)
-            assert math.isinf(last)
-        elif step == 549:
-            assert first == pytest.approx(math.sqrt(0.5))
-        elif step == 600:
-            assert first == pytest.approx(0, abs=1e-6)
-    assert last == pytest.approx(0, abs=1e-6)
-
-
-def test_one_enormous_sample_leaves_later_estimates_right() -> None:
-    errors = PathErrors(1)
-    for step in range(1_000):
-        errors.add(np.array([1e20 if step == 300 else 1.0]), np.zeros((1, HORIZONS)))
-    assert errors.mean_squares(200)[0, 0] == pytest.approx(1.0)
+    expected = errors.expected(0, 1.0, 200)
+    assert expected is not None
+    for horizon in (1, len(AHEAD)):
+        estimate = math.sqrt(expected.squares_n2[horizon - 1])
+        assert estimate == pytest.approx(rms[-1][horizon - 1], rel=0.1)
 
 
 def test_a_stack_combines_equal_and_enormous_trajectories() -> None:

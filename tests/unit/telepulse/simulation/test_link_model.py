@@ -19,7 +19,8 @@ STEP = 10
 EVERYTHING = (
     "delay=40ms,jitter=10ms,jitter_kind=pareto,loss=1%,burst_loss.share=2%,burst_loss.length=50ms,"
     "reorder.share=3%,reorder.by=20ms,rate=2Mbit/s,route_change.at=5s,route_change.by=-10ms,"
-    "cut.from=7s,cut.for=1.5s,transport=tcp"
+    "cut.from=7s,cut.for=1.5s,stall.for=300ms,stall.every=20s,wander.by=30ms,wander.over=2s,"
+    "transport=tcp"
 )
 
 
@@ -38,6 +39,10 @@ def test_everything_a_link_can_do_is_read_and_written() -> None:
     assert (link.route_change.at_ns, link.route_change.by_ns) == (5_000_000_000, -10_000_000)
     assert link.cut is not None
     assert (link.cut.from_ns, link.cut.for_ns) == (7_000_000_000, 1_500_000_000)
+    assert link.stall is not None
+    assert (link.stall.for_ns, link.stall.every_ns) == (300_000_000, 20_000_000_000)
+    assert link.wander is not None
+    assert (link.wander.by_ns, link.wander.over_ns) == (30_000_000, 2_000_000_000)
     assert (link.jitter_kind, link.transport) == ("pareto", "tcp")
 
 
@@ -156,6 +161,25 @@ def test_the_delay_changes_with_the_route_and_is_none_without_properties() -> No
     assert times == [(sent + (40 if sent < 50 else 70)) * MS for sent in range(100)]
     shorter = arrivals("delay=40ms,route_change.at=50ms,route_change.by=-60ms", 100)
     assert shorter[49:51] == [89 * MS, 50 * MS]
+
+
+def test_packets_of_a_regular_stall_arrive_at_its_end() -> None:
+    times = arrivals("delay=40ms,stall.for=30ms,stall.every=100ms", 200)
+    expected = [sent + 40 if sent % 100 < 70 else sent // 100 * 100 + 140 for sent in range(200)]
+    assert times == [time_ms * MS for time_ms in expected]
+    reason = refusal_of(SceneError, lambda: parse_link("stall.for=2s,stall.every=1s"))
+    assert "every must be longer than for" in reason
+
+
+def test_a_wandering_delay_stays_within_its_range_and_changes_slowly() -> None:
+    text = "delay=40ms,wander.by=30ms,wander.over=500ms"
+    delays = np.array(delays_ms(text, 20_000), float)
+    assert delays[0] == 40
+    assert 40 <= delays.min() < 45
+    assert 65 < delays.max() <= 70
+    # By 30 ms in 500 ms at most.
+    assert np.abs(np.diff(delays)).max() <= 30 / 500 + 1e-6
+    assert list(delays_ms(text, 20_000)) == delays.tolist()
 
 
 def test_nothing_comes_through_a_cut_and_times_count_from_the_links_beginning() -> None:

@@ -73,7 +73,8 @@ def test_old_errors_have_the_time_at_which_their_window_ended(display: Simulated
     old = figures(display.live, shown, silent_ns=125 * SECOND_NS)
     for id in ("aligned", "in_phase"):
         assert old[id].note.startswith("of the 1 s until 125.0 s ago, ")
-    assert old["within"].note == "of the 100.0 % of the 1 s until 125.0 s ago that could be judged"
+    judged = "of the 100.0 % of the 1 s until 125.0 s ago that could be judged"
+    assert old["within"].note == f"a finger notices an error for 0.0 % of the time, {judged}"
     # The last figures of a display that has ended do not grow older.
     display.status("ended", final=True)
     ended = figures(display.live, shown, silent_ns=125 * SECOND_NS)
