@@ -49,7 +49,7 @@ SETTLED: Final = 20
 # Inputs of the regression: means about lags, and the steps to each side of their middle. The longer
 # ago, the wider they are: a few single values would have more noise than the analogues differ by.
 LOCAL = np.array([2, 1, 3, 4, 6, 8, 11, 14, 18, 24, 32, 40, 50, 60, 80, 100, 130, 160, 200])
-WIDTHS_ABOUT = np.array([0, 0, 0, 0, 1, 1, 1, 2, 3, 4, 5, 5, 6, 8, 10, 14, 16, 20, 0])
+WIDTHS_ABOUT = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 3, 3, 4, 5, 6, 8, 8, 10, 0])
 SHARES_ABOUT = 1 / (2 * WIDTHS_ABOUT + 1)
 INPUTS: Final = 19
 DEEPEST: Final = 201
@@ -57,7 +57,7 @@ DEEPEST: Final = 201
 BESIDE = (-1, 1)
 POINTS: Final = 80
 # The weights of the analogues add up to 1.
-LOCAL_RIDGE: Final = 0.00001
+LOCAL_RIDGE: Final = 0.00002
 
 
 @kernel(f"void({ROWS}, int64, {PLACES}, {ROW}, {TABLE})")
