@@ -25,8 +25,8 @@ from display_node.prediction.distances import (
     add_distances,
     find_analogues,
 )
-from display_node.prediction.expert import HORIZONS, SPACING, Expert, Floats
-from display_node.prediction.history import History
+from display_node.prediction.expert import FURTHEST, HORIZONS, SPACING, Expert, Floats
+from display_node.prediction.history import History, mean_about
 from display_node.prediction.kernels import CUBE, FLOATS, PLACES, ROW, ROWS, TABLE, bounded, kernel
 from display_node.prediction.ridge import solve_ridge
 
@@ -46,12 +46,18 @@ OFFSET: Final = 0.35
 # A lag is used after its distance has been summed over this number of steps. The longer memories
 # then still contain zeros from before the start, which make old lags less similar, not more.
 SETTLED: Final = 20
-# Lags of the regression's inputs.
+# Inputs of the regression: means about lags, and the steps to each side of their middle. The longer
+# ago, the wider they are: a few single values would have more noise than the analogues differ by.
 LOCAL = np.array([2, 1, 3, 4, 6, 8, 11, 14, 18, 24, 32, 40, 50, 60, 80, 100, 130, 160, 200])
+WIDTHS_ABOUT = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 3, 3, 4, 5, 6, 8, 8, 10, 0])
+SHARES_ABOUT = 1 / (2 * WIDTHS_ABOUT + 1)
 INPUTS: Final = 19
-DEEPEST: Final = 200
+DEEPEST: Final = 201
+# It learns from the moments a step before each analogue and a step after it: their noise differs.
+BESIDE = (-1, 1)
+POINTS: Final = 80
 # The weights of the analogues add up to 1.
-LOCAL_RIDGE: Final = 0.00003
+LOCAL_RIDGE: Final = 0.00002
 
 
 @kernel(f"void({ROWS}, int64, {PLACES}, {ROW}, {TABLE})")
@@ -86,9 +92,10 @@ def weigh_analogues(rows: Row, end: int, places: Places, nearest: Row, weights: 
             weights[number, analogue] /= total
 
 
-@kernel(f"void({ROWS}, int64, {PLACES}, {TABLE}, {CUBE}, {FLOATS}, {TABLE}, {TABLE})")
+@kernel(f"void({ROWS}, {FLOATS}, int64, {PLACES}, {TABLE}, {CUBE}, {FLOATS}, {TABLE}, {TABLE})")
 def continue_analogues(
     rows: Row,
+    sums: Floats,
     end: int,
     places: Places,
     weights: Floats,
@@ -99,41 +106,47 @@ def continue_analogues(
 ) -> None:
     """Write the mean continuations of all channels, shape (4, channels, 25).
 
-    Those of the last trajectory are without its regression. inputs: where to write the present's
-    values at the regression's lags less those of its analogues' mean. low, high: where to write the
-    range of the regression's continuations, shape (channels, 25).
+    Those of the last trajectory are without its regression. sums: as in `History`. inputs:
+    where to write the present's inputs of the regression less those of its analogues' mean. low,
+    high: where to write the range of the regression's continuations, shape (channels, 25).
     """
     first = end - 1 - LAGS
+    steps = np.empty(FURTHEST + 1)
     for channel in range(len(rows)):
         row = rows[channel]
         newest = float(row[end - 1])
         low[channel, :], high[channel, :] = math.inf, -math.inf
         for number in range(len(BEGINS)):
-            path = made[number, channel]
-            path[:] = 0.0
-            origin = 0.0
+            # Loops over values in a row are made of vector instructions, so all steps are added.
+            steps[:] = 0.0
             for analogue in range(LENGTHS[number]):
                 weight = weights[number, analogue]
                 at = first + places[BEGINS[number] + analogue]
-                origin += weight * row[at]
-                for horizon in range(HORIZONS):
-                    path[horizon] += weight * row[at + SPACING * (horizon + 1)]
+                followed = row[at : at + FURTHEST + 1]
+                for step in range(FURTHEST + 1):
+                    steps[step] += weight * followed[step]
                 if number < MEANS:
                     continue
                 for horizon in range(HORIZONS):
-                    followed = row[at + SPACING * (horizon + 1)] - row[at]
-                    low[channel, horizon] = min(low[channel, horizon], followed)
-                    high[channel, horizon] = max(high[channel, horizon], followed)
+                    change = followed[SPACING * (horizon + 1)] - followed[0]
+                    low[channel, horizon] = min(low[channel, horizon], change)
+                    high[channel, horizon] = max(high[channel, horizon], change)
+            origin = steps[0]
             shift = (1 - OFFSET) * (origin - newest) if number < MEANS else 0.0
+            path = made[number, channel]
             for horizon in range(HORIZONS):
-                path[horizon] += shift - origin
+                path[horizon] = steps[SPACING * (horizon + 1)] - origin + shift
             if channel == 0 and number == MEANS:
                 for tap in range(INPUTS):
-                    mean = 0.0
+                    lag, width = LOCAL[tap], WIDTHS_ABOUT[tap]
+                    total = 0.0
                     for analogue in range(LOCALS):
-                        at = first + places[analogue] - LOCAL[tap]
-                        mean += weights[MEANS, analogue] * row[at]
-                    inputs[tap] = row[end - 1 - LOCAL[tap]] - newest - (mean - origin)
+                        at = first + places[analogue] - lag
+                        about = sums[at + width + 1] - sums[at - width]
+                        total += weights[MEANS, analogue] * about
+                    mean = total / (2 * width + 1)
+                    present = mean_about(sums, end - 1 - lag, width)
+                    inputs[tap] = present - newest - (mean - origin)
 
 
 @kernel(f"void({CUBE}, {FLOATS}, {CUBE}, {TABLE}, {TABLE})")
@@ -151,9 +164,10 @@ def add_regression(made: Floats, inputs: Floats, gains: Floats, low: Floats, hig
             path[horizon] = bounded(path[horizon], low[channel, horizon], high[channel, horizon])
 
 
-@kernel(f"void({ROWS}, int64, {PLACES}, {ROW}, {TABLE}, {CUBE}, boolean, {CUBE})")
+@kernel(f"void({ROWS}, {FLOATS}, int64, {PLACES}, {ROW}, {TABLE}, {CUBE}, boolean, {CUBE})")
 def follow_analogues(
     rows: Row,
+    sums: Floats,
     end: int,
     places: Places,
     nearest: Row,
@@ -169,15 +183,41 @@ def follow_analogues(
     inputs = np.empty(INPUTS)
     low, high = np.empty((len(rows), HORIZONS)), np.empty((len(rows), HORIZONS))
     weigh_analogues(rows, end, places, nearest, weights)
-    continue_analogues(rows, end, places, weights, made, inputs, low, high)
+    continue_analogues(rows, sums, end, places, weights, made, inputs, low, high)
     if regresses:
         add_regression(made, inputs, gains, low, high)
     else:
         made[MEANS] = made[0]
 
 
-@kernel(f"boolean({ROWS}, int64, {PLACES}, {FLOATS}, {CUBE})")
-def regress(rows: Row, end: int, places: Places, weights: Floats, gains: Floats) -> bool:
+@kernel(f"void({TABLE}, {TABLE}, {TABLE})")
+def add_points(points: Floats, shares: Floats, totals: Floats) -> None:
+    """Write the products of each input with all columns of the points, weighted by their shares.
+
+    points: shape (80, columns), of which the inputs are the first. shares: their weights times
+    their inputs, shape (19, 80). totals: shape (19, columns). Eight points are added at a time: a
+    total is else loaded and stored for each of them, which takes twice as long.
+    """
+    for tap in range(INPUTS):
+        total, share = totals[tap], shares[tap]
+        total[:] = 0.0
+        for n in range(0, POINTS, 8):
+            a, b, c, d = points[n], points[n + 1], points[n + 2], points[n + 3]
+            e, f, g, h = points[n + 4], points[n + 5], points[n + 6], points[n + 7]
+            of_a, of_b, of_c, of_d = share[n], share[n + 1], share[n + 2], share[n + 3]
+            of_e, of_f, of_g, of_h = share[n + 4], share[n + 5], share[n + 6], share[n + 7]
+            for column in range(len(total)):
+                first = (of_a * a[column] + of_b * b[column]) + (
+                    of_c * c[column] + of_d * d[column]
+                )
+                last = (of_e * e[column] + of_f * f[column]) + (of_g * g[column] + of_h * h[column])
+                total[column] += first + last
+
+
+@kernel(f"boolean({ROWS}, {FLOATS}, int64, {PLACES}, {FLOATS}, {CUBE})")
+def regress(
+    rows: Row, sums: Floats, end: int, places: Places, weights: Floats, gains: Floats
+) -> bool:
     """Regress what followed the analogues on what preceded them; return whether it succeeded.
 
     weights: of the analogues. gains: where to write the regression's, shape (channels, 19, 25).
@@ -185,32 +225,31 @@ def regress(rows: Row, end: int, places: Places, weights: Floats, gains: Floats)
     # One step later, each place is one step nearer to the present.
     first = end - LAGS
     channels = len(rows)
-    before = np.empty((LOCALS, INPUTS))
-    mean = np.zeros(INPUTS)
-    for number in range(LOCALS):
-        at = first + places[number]
-        for tap in range(INPUTS):
-            before[number, tap] = rows[0, at - LOCAL[tap]] - rows[0, at]
-            mean[tap] += weights[number] * before[number, tap]
-    squares = np.zeros((INPUTS, INPUTS))
-    products = np.zeros((INPUTS, channels * HORIZONS))
-    after = np.empty(channels * HORIZONS)
-    for number in range(LOCALS):
-        at = first + places[number]
-        for channel in range(channels):
-            row, begin = rows[channel], channel * HORIZONS
-            for horizon in range(HORIZONS):
-                followed = row[at + SPACING * (horizon + 1)] - row[at]
-                after[begin + horizon] = followed
-        taps = before[number]
-        for tap in range(INPUTS):
-            taps[tap] -= mean[tap]
-        for tap in range(INPUTS):
-            weighted, square, product = weights[number] * taps[tap], squares[tap], products[tap]
-            for other in range(tap + 1):
-                square[other] += weighted * taps[other]
-            for output in range(len(after)):
-                product[output] += weighted * after[output]
+    # Of each point: the inputs less their mean, and then what followed.
+    columns = INPUTS + channels * HORIZONS
+    points, shares = np.empty((POINTS, columns)), np.empty((INPUTS, POINTS))
+    for side in range(len(BESIDE)):
+        mean = np.zeros(INPUTS)
+        begin = side * LOCALS
+        for number in range(LOCALS):
+            at, point = first + places[number] + BESIDE[side], points[begin + number]
+            for tap in range(INPUTS):
+                middle, width = at - LOCAL[tap], WIDTHS_ABOUT[tap]
+                about = sums[middle + width + 1] - sums[middle - width]
+                point[tap] = about * SHARES_ABOUT[tap] - rows[0, at]
+                mean[tap] += weights[number] * point[tap]
+            for channel in range(channels):
+                row, output = rows[channel], INPUTS + channel * HORIZONS
+                for horizon in range(HORIZONS):
+                    point[output + horizon] = row[at + SPACING * (horizon + 1)] - row[at]
+        for number in range(LOCALS):
+            weight, point = weights[number] / len(BESIDE), points[begin + number]
+            for tap in range(INPUTS):
+                point[tap] -= mean[tap]
+                shares[tap, begin + number] = weight * point[tap]
+    totals = np.empty((INPUTS, columns))
+    add_points(points, shares, totals)
+    squares, products = totals[:, :INPUTS].copy(), totals[:, INPUTS:].copy()
     for tap in range(INPUTS):
         squares[tap, tap] += LOCAL_RIDGE
     if not solve_ridge(squares, products):
@@ -252,14 +291,21 @@ class Analogue(Expert):
             return
         rows, end = history.buffer, history.end
         places, nearest, weights = self._places, self._nearest, self._weights
-        follow_analogues(rows, end, places, nearest, weights, self._gains, self._regresses, made)
+        follow_analogues(
+            rows, history.sums, end, places, nearest, weights, self._gains, self._regresses, made
+        )
 
     def prepare(self, history: History) -> None:
         """Find the analogues of the next two steps, or make the regression for them, in turn."""
         if history.count % SPACING == 0:
             # Rounding exceeds the ridge where the pulse has become many times as large.
             self._regresses = self._found and regress(
-                history.buffer, history.end, self._places, self._weights[MEANS], self._gains
+                history.buffer,
+                history.sums,
+                history.end,
+                self._places,
+                self._weights[MEANS],
+                self._gains,
             )
             return
         add_distances(history.buffer, history.end, self._difference, self._distances, FORGETS)

@@ -108,8 +108,11 @@ class ChannelPath:
 
     def normalised(self, value: float) -> float:
         """Return a value in deviations from the level, limited."""
+        value = (value - self.level) / self.scale
+        if -LARGEST < value < LARGEST:
+            return value
         # A value that is no number becomes the limit, too.
-        return max(-LARGEST, min(LARGEST, (value - self.level) / self.scale))
+        return -LARGEST if value < 0 else LARGEST
 
     def publish(self, path: list[float], middle_ns: int) -> None:
         """Store the points of a path in N; middle_ns: middle of the newest cell."""

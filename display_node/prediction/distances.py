@@ -37,6 +37,9 @@ ANALOGUES: Final = 70
 # Lags that are skipped together where none of their distances is short enough; blocks of all lags.
 BLOCK: Final = 64
 BLOCKS: Final = LAGS // BLOCK
+# Where an analogue has been lost, another one is looked for up to this, times the greatest distance
+# of those that are left.
+WIDER: Final = 1.5
 
 
 @kernel(f"void({ROWS}, int64, {ROW}, {ROWS}, {ROW})")
@@ -66,10 +69,10 @@ def add_distances(rows: Row, end: int, difference: Row, distances: Row, forgets:
 def limit_minima(row: Row, first: int, places: Places) -> np.float32:
     """Return a distance that as many local minima after a lag as there are places do not exceed.
 
-    places: of the lowest minima before, which are moved to those that they have become. Returns
-    infinity where two of them have become one, or one has left the lags.
+    places: of the lowest minima before, which are moved to those that they have become. Where two
+    of them have become one, or one has left the lags, the distance is an estimate.
     """
-    limit = np.float32(-np.inf)
+    limit, kept = np.float32(-np.inf), 0
     for number in range(len(places)):
         place = places[number]
         while first < place < LAGS - NEAREST:
@@ -80,13 +83,51 @@ def limit_minima(row: Row, first: int, places: Places) -> np.float32:
             else:
                 break
         if not (first < place < LAGS - NEAREST and row[place] < math.inf):
-            return np.float32(np.inf)
-        for other in range(number):
-            if places[other] == place:
-                return np.float32(np.inf)
-        places[number] = place
-        limit = max(limit, row[place])
-    return limit
+            continue
+        found = False
+        for other in range(kept):
+            found |= places[other] == place
+        if not found:
+            places[kept] = place
+            kept += 1
+            limit = max(limit, row[place])
+    if kept == 0:
+        return np.float32(np.inf)
+    return limit if kept == len(places) else np.float32(WIDER) * limit
+
+
+@kernel(f"int64({ROW}, int64, float32, {PLACES}, {ROW})")
+def find_lowest(row: Row, first: int, limit: np.float32, places: Places, nearest: Row) -> int:
+    """Write the lowest local minima after a lag up to a limit, the nearest first.
+
+    places, nearest: where to write their places and distances. Returns their number.
+    """
+    most, found = len(places), 0
+    blocks = row.reshape((BLOCKS, BLOCK))
+    for block in range((first + 1) // BLOCK, BLOCKS):
+        # A count over a constant range is a loop of vector instructions.
+        within = 0
+        for lag in range(BLOCK):
+            within += blocks[block, lag] <= limit
+        if not within:
+            continue
+        end = min((block + 1) * BLOCK, LAGS - NEAREST)
+        for place in range(max(block * BLOCK, first + 1), end):
+            distance = row[place]
+            if distance > limit or distance >= row[place - 1] or distance > row[place + 1]:
+                continue
+            # Of equal distances, the first ones are kept.
+            if found == most and distance >= nearest[most - 1]:
+                continue
+            found = min(found + 1, most)
+            at = found - 1
+            while at > 0 and nearest[at - 1] > distance:
+                nearest[at], places[at] = nearest[at - 1], places[at - 1]
+                at -= 1
+            nearest[at], places[at] = distance, place
+            if found == most:
+                limit = nearest[most - 1]
+    return found
 
 
 @kernel(f"boolean({ROWS}, int64, {ROW}, {PLACES}, {ROW})")
@@ -98,38 +139,16 @@ def find_analogues(distances: Row, first: int, forgets: Row, places: Places, nea
     """
     for memory in range(len(COUNTS)):
         begin, most = FIRSTS[memory], COUNTS[memory]
-        last = begin + most - 1
         row = distances[memory]
-        blocks = row.reshape((BLOCKS, BLOCK))
-        found, limit = 0, limit_minima(row, first, places[begin : last + 1])
-        for block in range((first + 1) // BLOCK, BLOCKS):
-            # A count over a constant range is a loop of vector instructions.
-            within = 0
-            for lag in range(BLOCK):
-                within += blocks[block, lag] <= limit
-            if not within:
-                continue
-            end = min((block + 1) * BLOCK, LAGS - NEAREST)
-            for place in range(max(block * BLOCK, first + 1), end):
-                distance = row[place]
-                if distance > limit or distance >= row[place - 1] or distance > row[place + 1]:
-                    continue
-                # Of equal distances, the first ones are kept.
-                if found == most and distance >= nearest[last]:
-                    continue
-                found = min(found + 1, most)
-                at = begin + found - 1
-                while at > begin and nearest[at - 1] > distance:
-                    nearest[at], places[at] = nearest[at - 1], places[at - 1]
-                    at -= 1
-                nearest[at], places[at] = distance, place
-                if found == most:
-                    limit = nearest[last]
+        lowest, least = places[begin : begin + most], nearest[begin : begin + most]
+        limit = limit_minima(row, first, lowest)
+        found = find_lowest(row, first, limit, lowest, least)
+        if found < most and limit < math.inf:
+            found = find_lowest(row, first, np.float32(np.inf), lowest, least)
         if not found:
             return False
         for more in range(found, most):
-            places[begin + more] = places[begin + more - found]
-            nearest[begin + more] = nearest[begin + more - found]
-        for number in range(begin, begin + most):
-            nearest[number] *= forgets[memory]
+            lowest[more], least[more] = lowest[more - found], least[more - found]
+        for number in range(most):
+            least[number] *= forgets[memory]
     return True

@@ -3,7 +3,7 @@
 Samples → grid → history → experts → stack → a path over the next 250 ms, interpolated by `predict`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -31,6 +31,8 @@ CAPACITY = 8_192
 # Steps in the first second, which determine the signal's level and size; until then nothing is
 # predicted.
 WARM_UP = 200
+# Differences up to this share of a value are its rounding.
+ROUNDING = 1e-12
 # The error of the last beat is that of this number of beats, within these limits in steps of
 # learning; while no rhythm is known, of the longer one.
 JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 100, 200
@@ -66,7 +68,8 @@ class Ensemble(ChannelPath):
         chosen = experts if self._kind == "stack" else (self._kind,)
         self._experts = [experts[name] for name in chosen]
         trust = np.array([share for expert in self._experts for share in expert.trust])
-        self._stack = Stack(trust if self._kind == "stack" else np.full(len(trust), 1 / len(trust)))
+        trust = trust if self._kind == "stack" else np.full(len(trust), 1 / len(trust))
+        self._stack = Stack(trust, channels)
         self._errors = PathErrors(channels)
         self._history = History(CAPACITY, channels)
         # The history's count from which on the next step is one of learning, and their number.
@@ -115,12 +118,12 @@ class Ensemble(ChannelPath):
     def _step(self, cell: GridCell) -> Iterator[None]:
         """Do the work for a new cell, piece by piece."""
         # All channels come with the same frames, so that their cells are the same.
-        beside = [other.grid.new_cells.popleft().value for other in self.others]
+        cells = [cell, *(other.grid.new_cells.popleft() for other in self.others)]
         if not self.scale:
-            self._settle(cell, beside)
+            self._settle(cell.number, [each.value for each in cells])
             return
         history = self._history
-        self._push(cell.value, beside, self.normalised(cell.ends), self.normalised(cell.continues))
+        self._push([each.value for each in cells], cells)
         self._artefacts.observe(history)
         self._number = cell.number
         # Cells that late samples corrected replace the interpolated ones.
@@ -190,35 +193,36 @@ class Ensemble(ChannelPath):
             path.expected = self._errors.expected(channel, path.scale, steps)
 
     @np.errstate(all="ignore")
-    def _settle(self, cell: GridCell, beside: list[float]) -> None:
+    def _settle(self, number: int, values: list[float]) -> None:
         """Collect the warm-up; at its end, compute level and size and fill the history."""
-        for path, value in zip(self._paths, (cell.value, *beside), strict=True):
+        for path, value in zip(self._paths, values, strict=True):
             path.warm_up.append(value)
-        seen = self.warm_up
-        if len(seen) < WARM_UP:
+        if len(self.warm_up) < WARM_UP:
             return
-        level, scale = float(np.mean(seen)), float(np.std(seen))
+        level, scale = _size(self.warm_up)
         if not 0 < scale < np.inf:
             for path in self._paths:
                 del path.warm_up[0]
             return
         self.level, self.scale = level, scale
         for other in self.others:
-            level, scale = float(np.mean(other.warm_up)), float(np.std(other.warm_up))
+            level, scale = _size(other.warm_up)
             constant = not 0 < scale < np.inf
             other.level, other.scale = (other.warm_up[-1], 1.0) if constant else (level, scale)
-        for value, *rest in zip(seen, *(other.warm_up for other in self.others), strict=True):
-            self._push(value, rest)
-        self._number = cell.number
+        for each in zip(*(path.warm_up for path in self._paths), strict=True):
+            self._push(each)
+        self._number = number
         self._scales[:] = [path.level for path in self._paths], [path.scale for path in self._paths]
         self._history.ranges(self._ranges)
 
-    def _push(
-        self, value: float, beside: list[float], ends: float | None = None, continues: float = 0.0
-    ) -> None:
-        others = [path.normalised(x) for path, x in zip(self.others, beside, strict=True)]
-        history = self._history
-        history.push(self.normalised(value), *others, ends=ends, continues=continues)
+    def _push(self, values: Sequence[float], cells: Sequence[GridCell] = ()) -> None:
+        """Append a value of each channel to the history; cells: theirs, from the warm-up on."""
+        history, ahead = self._history, self._history.ahead
+        history.push(*[path.normalised(x) for path, x in zip(self._paths, values, strict=True)])
+        for channel, cell in enumerate(cells):
+            path = self._paths[channel]
+            ahead[channel, 0] = path.normalised(cell.ends)
+            ahead[channel, 1] = path.normalised(cell.continues)
         self._rhythm.push(history.change(SPACING))
 
     def _publish(self, cell: GridCell) -> None:
@@ -226,7 +230,7 @@ class Ensemble(ChannelPath):
         history, ahead, points = self._history, self._ahead, self._points
         for expert, made in zip(self._experts, self._parts, strict=True):
             expert.predict(history, made)
-        self._stack.predict(history.newest_of_each, self._trajectories, ahead)
+        self._stack.predict(history.newest_of_each, history.ahead, self._trajectories, ahead)
         if self._announced:
             self._announced.correct(history, ahead)
         ranges, scales = self._ranges, self._scales
@@ -236,3 +240,16 @@ class Ensemble(ChannelPath):
         middle_ns = cell.end_ns - STEP_NS // 2
         for path, row in zip(self._paths, points.tolist(), strict=True):
             path.publish(row, middle_ns)
+
+
+def _size(values: list[float]) -> tuple[float, float]:
+    """Return mean and deviation of a warm-up; the latter is 0 where a half of it is constant.
+
+    A pulse that has just begun after a constant would be measured by its first millisecond. The
+    means of a constant over cells differ by their rounding.
+    """
+    for half in values[: len(values) // 2], values[len(values) // 2 :]:
+        low, high = min(half), max(half)
+        if high - low <= ROUNDING * max(-low, high):
+            return half[-1], 0.0
+    return float(np.mean(values)), float(np.std(values))

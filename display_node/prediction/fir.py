@@ -11,17 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from display_node.prediction.expert import HORIZONS, SPACING, Expert, Floats
-from display_node.prediction.history import NEVER, History
+from display_node.prediction.history import NEVER, History, mean_about
 from display_node.prediction.kernels import CUBE, FLOATS, ROWS, TABLE, kernel
 
-# Taps of the filter: the signal at the end of the newest cell and beyond, the near past at every
-# step, and further back, to 1.3 s, means over STRIDE.
+# Inputs of the filter: the signal at the end of the newest cell and beyond, and means over steps
+# one after the other, which become longer with their age: these are the steps to each side of their
+# middle. More and shorter ones lower no error: they are more weights to learn.
 ENDS: Final = 2
-NEAR: Final = 40
-FAR: Final = 55
-STRIDE: Final = 4
-REACH: Final = NEAR + FAR * STRIDE + 1
-TAPS: Final = FAR + NEAR + ENDS
+WIDTHS = np.array([0] * 8 + [1] * 4 + [2] * 4 + [4] * 4 + [8] * 12)
+# Steps from the newest value to the middle of each mean.
+LAGS = np.cumsum(2 * WIDTHS + 1) - WIDTHS
+MEANS: Final = 32
+REACH: Final = 281
+TAPS: Final = MEANS + ENDS
 # Forgetting factor for a memory of 2 400 steps of learning, some 30 s.
 FORGET: Final = 1 - 1 / 2_400
 # Relative to the power of the signal, as it is normalised.
@@ -32,9 +34,10 @@ RESTORED: Final = 4
 LARGEST_FACTOR: Final = 1e3
 
 
-@kernel(f"void({ROWS}, int64, {FLOATS}, {FLOATS}, {CUBE}, {CUBE})")
+@kernel(f"void({ROWS}, {FLOATS}, int64, {TABLE}, {FLOATS}, {CUBE}, {CUBE})")
 def filter_newest(
     rows: NDArray[np.float32],
+    sums: Floats,
     end: int,
     ahead: Floats,
     regressor: Floats,
@@ -43,20 +46,13 @@ def filter_newest(
 ) -> None:
     """Write the regressor of the newest value, and each channel's trajectory (1, channels, 25).
 
-    ahead: the signal of the first channel at the end of the newest cell, and a cell later.
+    sums, ahead: as in `History`; of them, the first channel's are used.
     """
-    row = rows[0]
-    newest = float(row[end - 1])
-    first = end - REACH
-    for tap in range(FAR):
-        total = 0.0
-        for part in range(STRIDE):
-            total += row[first + tap * STRIDE + part]
-        regressor[tap] = total / STRIDE - newest
-    for tap in range(NEAR):
-        regressor[FAR + tap] = row[first + FAR * STRIDE + tap] - newest
+    newest = float(rows[0, end - 1])
+    for tap in range(MEANS):
+        regressor[tap] = mean_about(sums, end - 1 - LAGS[tap], WIDTHS[tap]) - newest
     for tap in range(ENDS):
-        regressor[FAR + NEAR + tap] = ahead[tap] - newest
+        regressor[MEANS + tap] = ahead[0, tap] - newest
     for channel in range(len(weights)):
         path = made[0, channel]
         path[:] = 0.0
@@ -128,7 +124,7 @@ def keep_ridge(weights: Floats, covariance: Floats, tap: int, factor: float) -> 
 
 
 class Fir(Expert):
-    """x(t+h) − x(t) as a linear function of x(t−i) − x(t), for every horizon h.
+    """x(t+h) − x(t) as a linear function of means over the past less x(t), for every horizon h.
 
     Recursive least squares gives the ridge solution of all data at every step without solving a
     system. A regressor is used when the values at all its horizons have come, 25 steps of learning
@@ -156,7 +152,7 @@ class Fir(Expert):
             made[:] = 0.0
             return
         rows, end, regressor = history.buffer, history.end, self._regressor
-        filter_newest(rows, end, history.ahead, regressor, self._weights, made)
+        filter_newest(rows, history.sums, end, history.ahead, regressor, self._weights, made)
 
     def learn(self, history: History, artefact: bool = False) -> None:
         """Correct the weights by the oldest regressor, and store the newest one in its place."""

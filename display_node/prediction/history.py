@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from display_node.prediction.kernels import ROWS, TABLE, kernel
+from display_node.prediction.kernels import FLOATS, ROWS, TABLE, kernel
 
 Floats = NDArray[np.float64]
 # Recent values are those of the last 5 s; their range is widened on both sides by this share of it.
@@ -30,13 +30,20 @@ def find_ranges(rows: NDArray[np.float32], end: int, count: int, ranges: Floats)
         ranges[0, channel], ranges[1, channel] = least - margin, most + margin
 
 
+@kernel(f"float64({FLOATS}, int64, int64)")
+def mean_about(sums: Floats, place: int, width: int) -> float:
+    """Return the mean of the first channel's values at a place and `width` steps to both sides."""
+    total: float = sums[place + width + 1] - sums[place - width]
+    return total / (2 * width + 1)
+
+
 class History:
     """The last `capacity` values of a channel, and of others beside it, in single precision.
 
     They are filled with zeros at the start. buffer, end: for the kernels, a row for each channel
-    whose newest value is before `end`. newest_of_each: newest value of each channel, in single
-    precision. ahead: the signal of the first channel at the end of the newest cell, and a cell
-    later.
+    whose newest value is before `end`. sums: of the first channel's values before each place, for
+    means over any width. newest_of_each: newest value of each channel, in single precision. ahead:
+    the signal of each channel at the end of the newest cell, and a cell later.
     """
 
     def __init__(self, capacity: int, channels: int = 1) -> None:
@@ -44,9 +51,10 @@ class History:
         self.buffer = np.zeros((channels, 3 * capacity), np.float32)
         # Of the first channel.
         self._values = self.buffer[0]
+        self.sums = np.zeros(3 * capacity + 1)
         self.end = capacity
         self.channels = channels
-        self.ahead = np.zeros(2)
+        self.ahead = np.zeros((channels, 2))
         self.count = 0
         self.newest_of_each = np.zeros(channels)
 
@@ -55,26 +63,25 @@ class History:
         """The newest value."""
         return self.newest_of_each.item(0)
 
-    def push(
-        self, value: float, *others: float, ends: float | None = None, continues: float = 0.0
-    ) -> None:
-        """Append a value of each channel.
-
-        ends, continues: new values of `ahead`; None holds the first channel's value.
-        """
-        values, end, capacity = self._values, self.end, self._capacity
+    def push(self, value: float, *others: float) -> None:
+        """Append a value of each channel. Until `ahead` is written, it holds the values."""
+        values, sums, end, capacity = self._values, self.sums, self.end, self._capacity
         if end == len(values):
             self.buffer[:, :capacity] = self.buffer[:, -capacity:]
             end = capacity
+            # They begin at 0 again, since rounding grows with a sum.
+            sums[: capacity + 1] = sums[-capacity - 1 :] - sums[-capacity - 1]
         values[end] = value
-        self.newest_of_each[0] = values[end]
+        kept = values.item(end)
+        sums[end + 1] = sums.item(end) + kept
+        self.newest_of_each[0] = kept
+        ahead = self.ahead
+        ahead[0, 0] = ahead[0, 1] = kept
         for channel, other in enumerate(others, start=1):
             self.buffer[channel, end] = other
-            self.newest_of_each[channel] = self.buffer[channel, end]
+            self.newest_of_each[channel] = ahead[channel, :] = self.buffer[channel, end]
         self.end = end + 1
         self.count += 1
-        ahead = self.ahead
-        ahead[0], ahead[1] = (value, value) if ends is None else (ends, continues)
 
     def change(self, steps: int) -> float:
         """Return the first channel's change over the last steps."""
@@ -85,7 +92,11 @@ class History:
     def rewrite(self, age: int, value: float, channel: int = 0) -> None:
         """Replace the value `age` steps before the newest; do nothing where it is too old."""
         if age < min(self.count, self._capacity):
-            self.buffer[channel, self.end - 1 - age] = value
+            place = self.end - 1 - age
+            before = self.buffer.item(channel, place)
+            self.buffer[channel, place] = value
+            if channel == 0:
+                self.sums[place + 1 : self.end + 1] += self.buffer.item(0, place) - before
             self.newest_of_each[channel] = self.buffer[channel, self.end - 1]
 
     def place_of(self, count: int) -> int:

@@ -20,7 +20,8 @@ TRUTH = np.cumsum(np.random.default_rng(1).standard_normal(STEPS + 2 * HORIZONS)
 def predict(stack: Stack, newest: float, rows: Floats) -> Floats:
     """Return the path of one channel from the trajectories in `rows`, shape (n, 25)."""
     path = np.zeros((1, HORIZONS))
-    stack.predict(np.array([newest]), np.ascontiguousarray(rows[:, np.newaxis]), path)
+    trajectories = np.ascontiguousarray(rows[:, np.newaxis])
+    stack.predict(np.array([newest]), np.full((1, 2), newest), trajectories, path)
     return path[0]
 
 
@@ -132,6 +133,47 @@ def test_a_stack_stays_stable_when_a_long_silent_expert_predicts_again(
     assert np.abs(woken - 0.5 * rise).max() < 0.1
 
 
+def error_of_holding(tells: bool) -> float:
+    """Return the last RMSE 10 ms ahead of a stack whose only expert holds the newest value.
+
+    tells: whether the signal at the end of the newest cell is what comes then; else it is held.
+    """
+    stack, history = Stack(np.array([1.0])), History(2 * FURTHEST)
+    square, path = 0.0, np.zeros((1, HORIZONS))
+    for step in range(STEPS):
+        newest, coming = TRUTH[step + HORIZONS], TRUTH[step + HORIZONS + 1]
+        push(history, newest)
+        after = np.full((1, 2), coming if tells else newest)
+        stack.predict(np.array([newest]), after, np.zeros((1, 1, HORIZONS)), path)
+        stack.learn(history)
+        if step >= STEPS // 2:
+            square += (path[0, 0] - coming) ** 2
+    return math.sqrt(square / (STEPS - STEPS // 2))
+
+
+def test_a_stack_uses_the_newest_samples() -> None:
+    assert error_of_holding(tells=True) < 0.5 * error_of_holding(tells=False)
+
+
+def test_a_stack_averages_the_noise_of_its_earlier_paths() -> None:
+    """An expert is right, but for noise that differs from step to step."""
+    rng, stack, history = np.random.default_rng(2), Stack(np.array([1.0])), History(2 * FURTHEST)
+    squares = np.zeros((2, HORIZONS))
+    for step in range(STEPS):
+        newest = TRUTH[step + HORIZONS]
+        push(history, newest)
+        coming = TRUTH[step + HORIZONS + 1 : step + 2 * HORIZONS + 1] - newest
+        row = coming + 0.05 * rng.standard_normal()
+        # At each cell, of which two are a step of learning.
+        for _ in range(SPACING):
+            stacked = predict(stack, newest, row[np.newaxis]) - newest
+        stack.learn(history)
+        if step >= STEPS // 2:
+            squares += (stacked - coming) ** 2, (row - coming) ** 2
+    # No share of the newest trajectory alone leaves less than 0.98 of its error.
+    assert squares[0, 10] < 0.4 * squares[1, 10]
+
+
 LEARNT: tuple[PredictorName, ...] = ("fir", "analogue", "stack")
 T_S = np.arange(16_000) * 0.001
 FORCE_N = 0.3 + 0.1 * beats(T_S)
@@ -226,6 +268,19 @@ def test_a_constant_stays_constant_and_predictions_recover_from_enormous_samples
     force_n[3_000:3_050] = [1.7e308, -1.7e308] * 25
     feed(predictor, force_n[:9_000])
     assert ahead(predictor, 9_000, 50) == pytest.approx(FORCE_N[9_049], abs=FORCE_N.std())
+
+
+@pytest.mark.parametrize("constant_n", [0.1, -3.2845198586359663])
+def test_a_pulse_after_a_constant_is_learnt_as_one_from_the_start(constant_n: float) -> None:
+    # Means of a constant over cells differ by their rounding, which is no size of a pulse.
+    pulse_n, ensemble = constant_n + FORCE_N - FORCE_N[0], Ensemble("stack")
+    for first in range(0, 1_500, 5):
+        feed(ensemble, np.full(5, constant_n), first)
+    assert ensemble.scale == 0
+    for first in range(1_500, 14_500, 5):
+        feed(ensemble, pulse_n[first - 1_500 : first - 1_495], first)
+    assert 0.2 * FORCE_N.std() < ensemble.scale < 5 * FORCE_N.std()
+    assert ahead(ensemble, 5, 50, 14_495) == pytest.approx(pulse_n[13_049], abs=0.005)
 
 
 def test_late_samples_improve_a_prediction() -> None:

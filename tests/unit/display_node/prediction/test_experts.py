@@ -2,10 +2,19 @@ import numpy as np
 import pytest
 
 from display_node.prediction.analogue import Analogue
+from display_node.prediction.distances import (
+    ANALOGUES,
+    COUNTS,
+    FIRSTS,
+    FORGETS,
+    LAGS,
+    NEAREST,
+    find_analogues,
+)
 from display_node.prediction.expert import AHEAD
 from display_node.prediction.fir import Fir
 from display_node.prediction.grid import MAX_GAP_NS, STEP_NS, Grid, GridCell, Rhythm
-from display_node.prediction.history import History
+from display_node.prediction.history import History, mean_about
 from tests.unit.display_node.prediction.pulse_signals import MS, T0_NS, beats, expert_errors
 
 
@@ -160,6 +169,38 @@ def test_history_keeps_the_newest_values_and_rewrites_them() -> None:
     history.rewrite(100, 8.0)
     assert history.last(4)[0] == 7.0
     assert 8.0 not in history.last(100)
+
+
+def test_means_of_the_history_follow_late_samples_and_outlast_its_buffer() -> None:
+    history, rng = History(100), np.random.default_rng(1)
+    for value in rng.standard_normal(1_234).tolist():
+        history.push(value)
+        if history.count % 7 == 0:
+            history.rewrite(5, value + 1.0)
+    middle = history.end - 11
+    for width in (0, 1, 10):
+        values = history.buffer[0, middle - width : middle + width + 1]
+        expected = values.mean(dtype=np.float64)
+        assert mean_about(history.sums, middle, width) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("lost", [0, 1, 12])
+def test_analogues_are_the_lowest_minima_also_where_some_were_lost(lost: int) -> None:
+    rng = np.random.default_rng(lost)
+    noise = np.convolve(rng.random(LAGS + 40), np.ones(40) / 40, "valid")[:LAGS]
+    distances = np.tile(np.square(noise - noise.min() + 0.01), (3, 1)).astype(np.float32)
+    row, first = distances[0], 300
+    inner = np.arange(first + 1, LAGS - NEAREST)
+    minima = inner[(row[inner] < row[inner - 1]) & (row[inner] <= row[inner + 1])]
+    lowest = minima[np.argsort(row[minima], kind="stable")]
+    places, nearest = np.zeros(ANALOGUES, np.int64), np.zeros(ANALOGUES, np.float32)
+    for begin, count in zip(FIRSTS, COUNTS, strict=True):
+        places[begin : begin + count] = lowest[:count]
+        # Those that have become one with another.
+        places[begin + count - lost : begin + count] = lowest[0]
+    assert find_analogues(distances, first, FORGETS, places, nearest)
+    for begin, count in zip(FIRSTS, COUNTS, strict=True):
+        np.testing.assert_array_equal(places[begin : begin + count], lowest[:count])
 
 
 def test_rhythm_ignores_the_second_wave_of_a_beat_and_recovers_from_an_artefact() -> None:
