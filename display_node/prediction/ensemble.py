@@ -36,6 +36,8 @@ ROUNDING = 1e-12
 # The error of the last beat is that of this number of beats, within these limits in steps of
 # learning; while no rhythm is known, of the longer one.
 JUDGED_BEATS, FEWEST_JUDGED, MOST_JUDGED = 1.25, 100, 200
+# The errors to expect are computed anew after this number of steps of learning, 50 ms.
+JUDGED_EVERY = 5
 
 
 class Ensemble(ChannelPath):
@@ -87,6 +89,7 @@ class Ensemble(ChannelPath):
         self._parts = np.split(self._trajectories, ends[:-1])
         self._ahead = np.zeros((channels, HORIZONS))
         self._points = np.zeros((channels, POINTS))
+        self._heights = np.zeros(channels)
         # Of each channel: low and high of its recent values; its level and scale.
         self._ranges, self._scales = np.zeros((2, channels)), np.zeros((2, channels))
 
@@ -140,11 +143,13 @@ class Ensemble(ChannelPath):
         yield
         artefact = self._artefacts.present
         if history.count % SPACING == 0:
-            self._errors.add(history.newest_of_each, self._ahead, history.heights(), artefact)
+            self._errors.add(history.newest_of_each, self._ahead, self._heights, artefact)
             if self._announced:
                 values = history.last(FURTHEST + 1)[::SPACING].astype(np.float64)
                 self._announced.learn(values, artefact)
-            self._judge()
+            if self._errors.steps % JUDGED_EVERY == 0:
+                self._heights = history.heights()
+                self._judge()
             history.ranges(self._ranges)
             yield
         elif self._announced:

@@ -207,7 +207,10 @@ def expect_by_delay(
 
 
 class PathErrors:
-    """Errors to expect of the paths of each channel, learnt from the last ones."""
+    """Errors to expect of the paths of each channel, learnt from the last ones.
+
+    steps: number of those that were judged.
+    """
 
     def __init__(self, channels: int) -> None:
         self._paths = np.zeros((channels, KEPT, HORIZONS))
@@ -219,7 +222,7 @@ class PathErrors:
         self._heights, self._noticeable = np.zeros((2, channels))
         # What no predictor can know: white noise of the sensor.
         self._white, self._last = np.full(channels, FIRST_WHITE), np.zeros(channels)
-        self._steps = 0
+        self.steps = 0
 
     def add(self, newest: Floats, paths: Floats, heights: Floats, artefact: bool = False) -> None:
         """Judge the last paths by the newest values, and store new ones. Call it every 10 ms.
@@ -237,7 +240,7 @@ class PathErrors:
         """
         self._heights[:] = heights
         np.square(JND * heights, out=self._noticeable)
-        memory = min(MEMORY_STEPS, FIRST_STEPS + self._steps / 5)
+        memory = min(MEMORY_STEPS, FIRST_STEPS + self.steps / 5)
         add_errors(
             self._paths,
             self._in_phase,
@@ -245,7 +248,7 @@ class PathErrors:
             self._disturbed,
             self._sums,
             self._values,
-            self._steps,
+            self.steps,
             newest,
             paths,
             self._noticeable,
@@ -254,7 +257,7 @@ class PathErrors:
             1.0 / memory,
             artefact,
         )
-        self._steps += 1
+        self.steps += 1
 
     def expected(self, channel: int, scale: float, steps: int) -> ExpectedErrors | None:
         """Return the errors to expect of a channel; None before all horizons were judged.
@@ -262,13 +265,13 @@ class PathErrors:
         scale: force in N of a difference of 1. steps: number of the last ones that count as the
         last beat, below `ERRORS`.
         """
-        if self._steps < HORIZONS + max(DELAYS, steps):
+        if self.steps < HORIZONS + max(DELAYS, steps):
             return None
         squares, sums = scale * scale, self._sums[channel]
-        newest, noticed = (self._steps - 1) // BLOCK_STEPS, np.empty(HORIZONS + 1)
+        newest, noticed = (self.steps - 1) // BLOCK_STEPS, np.empty(HORIZONS + 1)
         blocks = min(max(FEWEST_BLOCKS, (newest + 1) // 3), newest + 1, BLOCKS)
         average_noticed(self._noticed[channel], newest, blocks, noticed)
-        lately = sums[self._steps % ERRORS] - sums[(self._steps - steps) % ERRORS]
+        lately = sums[self.steps % ERRORS] - sums[(self.steps - steps) % ERRORS]
         return ExpectedErrors(
             squares / steps * np.maximum(lately[1:], 0.0),
             squares * np.maximum(self._in_phase[channel] - self._white[channel], 0.0),

@@ -58,13 +58,15 @@ class PulseSize:
 STEP_NS = 10_000_000
 HORIZONS = 25
 CELL_NS = 5_000_000
+# E is chosen anew after this time; the playout follows it by 2.5 ms in it.
+CHOSEN_EVERY_NS = 50_000_000
 # Ages are counted by blocks of half a second: those of the last 1.5 s, or of 5 s without the worst.
 BLOCK_NS = 500_000_000
 BLOCKS, LATELY_BLOCKS = 10, 3
 # Expected shares of the time are corrected by those felt in the last 5 s, within bounds; less than
 # so much is as good as none.
-FOLLOWS = STEP_NS / 5e9
-LEAST_CORRECTION, MOST_CORRECTION, AS_NONE = 0.6, 1.6, 0.01
+FOLLOWS = CHOSEN_EVERY_NS / 5e9
+LEAST_CORRECTION, MOST_CORRECTION, AS_NONE = 0.6, 1.4, 0.01
 # Excess of the mean age in a second with a stall, in steps.
 STALLED = 2.0
 # Greatest reduction of E by trust: above 0.5 s the playout would jump instead of slewing.
@@ -179,7 +181,7 @@ RISE_ABOVE, FALL_BELOW = 0.018, 0.012
 # RMSE of longer horizons, as a share of the height.
 WORST = 0.3
 # E falls to what was possible during all of the last second: the error changes within a beat.
-CALM_STEPS = 100
+CALM_STEPS = 20
 
 
 class KeptShape:
@@ -253,7 +255,7 @@ class Trust:
 
     @property
     def due(self) -> bool:
-        """Whether to call `choose`: a step has passed since the last choice."""
+        """Whether to call `choose`: it is time for the next choice."""
         return self._last_ns is not None and self._last_ns >= self._next_ns
 
     def choose(
@@ -265,7 +267,7 @@ class Trust:
         share of the last 5 s in which an error of it was felt, the greatest of any contactor; None
         where it is unknown.
         """
-        self._next_ns = (self._last_ns or 0) + STEP_NS
+        self._next_ns = (self._last_ns or 0) + CHOSEN_EVERY_NS
         # At least one step: the few milliseconds of a local network are predicted as well.
         most = max(self._required_ns // STEP_NS, 1)
         known = [each for each in expected if each is not None]
