@@ -124,7 +124,7 @@ def test_expected_shares_are_corrected_by_those_that_are_felt() -> None:
             if trust.due:
                 trust.choose([expected], felt)
         chosen[felt] = e_ns / MS
-    assert chosen[0.0] < chosen[0.02] - 3 < chosen[0.1] - 6
+    assert chosen[0.0] < chosen[0.02] - 3 < chosen[0.1] - 4
 
 
 def test_e_is_reduced_by_400_ms_at_most() -> None:
