@@ -151,7 +151,7 @@ def figures(live: LiveState, data: WindowScores, silent_ns: int = 0) -> dict[str
         "aligned": _error(scores.aligned_n, scores, window),
         "in_phase": _error(scores.in_phase_n, scores, window),
         "within": _within(scores, window),
-        "loss": _loss(live.summary.get("samples", {})),
+        "loss": _loss(live, data, window),
         "predictor": PageFigure(live.contactor(data.chosen).playing.get("predictor") or NOTHING),
         "press": _press(live.summary.get("press", {})),
         "levels": _levels(live.depth),
@@ -255,15 +255,18 @@ def _within(scores: Scores, window: str) -> PageFigure:
     return PageFigure(SHARE.text(scores.within_jnd), note)
 
 
-def _loss(samples: Fields) -> PageFigure:
+def _loss(live: LiveState, data: WindowScores, window: str) -> PageFigure:
+    """Return the share of samples lost or late in the window, and their counts since the start."""
+    samples: Fields = live.summary.get("samples", {})
     lost, late = samples.get("lost"), samples.get("late")
     if lost is None or late is None:
         return PageFigure(NOTHING)
-    predicted = samples.get("predicted", 0)
-    due = lost + late + samples.get("played", 0) + predicted
-    share = (lost + late) / due if due else 0.0
-    note = f"{count_text(lost, 'sample')} lost, {late} late, {predicted} predicted in the run"
-    return PageFigure(f"{100 * share:.2f} %", note)
+    percent = sum(live.missing(round(data.window_s * SECOND_NS)))
+    note = (
+        f"of {window}; since the display started: {count_text(lost, 'sample')} lost, {late} late,"
+        f" {samples.get('predicted', 0)} predicted"
+    )
+    return PageFigure(NOTHING if math.isnan(percent) else f"{percent:.2f} %", note)
 
 
 def _force(felt_n: float, target_n: float) -> PageFigure:
@@ -340,7 +343,8 @@ def _counted(live: LiveState) -> list[Alert]:
             found.append(Alert(AlertKind.LIMITED, "; ".join(limits)))
         missing = recent[-1, LOST] + recent[-1, LATE]
         if missing > MUCH_LOSS:
-            found.append(Alert(AlertKind.LOSS, f"{missing:.0f} % of the samples are lost or late"))
+            text = f"{missing:.0f} % of the last second's samples are lost or late"
+            found.append(Alert(AlertKind.LOSS, text))
     if live.now_ns - live.stepped_ns < SHOWN_NS:
         text = "a clock has jumped; its offset is estimated again"
         found.append(Alert(AlertKind.CLOCK_STEP, text))

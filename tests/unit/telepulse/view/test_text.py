@@ -159,8 +159,23 @@ def test_predicted_samples_are_no_loss_and_no_alarm(display: SimulatedDisplay) -
     counts = SampleCounts(sent=7000, played=6000, predicted=995, late=2, lost=3)
     display.status("playing", samples=asdict(counts))
     shown = figures(display.live, window_scores(display.live, SECOND_NS))
-    assert shown["loss"] == ("0.07 %", "3 samples lost, 2 late, 995 predicted in the run")
+    assert shown["loss"].note.endswith("the display started: 3 samples lost, 2 late, 995 predicted")
     assert names(display) == []
+
+
+def test_the_loss_is_of_the_window_and_its_counts_say_since_when() -> None:
+    display = SimulatedDisplay(LiveState())
+    display.go(6)
+    losing = {"samples": asdict(SampleCounts(6500, 6000, 0, 100, 400, 0))}
+    display.status("playing", **losing)
+    counts = "since the display started: 400 samples lost, 100 late, 0 predicted"
+    # In the last second, 1000 of 1500 samples were played.
+    for seconds, share in ((1, "33.33 %"), (60, "7.69 %")):
+        shown = figures(display.live, window_scores(display.live, seconds * SECOND_NS))
+        assert shown["loss"] == (share, f"of the last {seconds} s; {counts}")
+    display.go(3, samples=losing["samples"])
+    shown = figures(display.live, window_scores(display.live, SECOND_NS))
+    assert shown["loss"] == ("–", f"of the last 1 s; {counts}")
 
 
 @pytest.mark.parametrize("name", ["clock step", "missed"])
