@@ -33,6 +33,8 @@ from telepulse.view.window_data import SECOND_NS, Scores, WindowScores
 # An alarm for a single occurrence is shown for this long.
 SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
+# Before the first status; also what a page shows while it loads.
+ALARMS_UNKNOWN = "Alarms are unknown until a display sends its state."
 # Indices of columns in `LiveState.statuses`.
 LOST, LATE, REFUSED, LIMITED, READERS_REFUSED = 2, 3, 4, 5, 6
 NOTHING = "–"
@@ -311,6 +313,12 @@ def _levels(depth: DepthState) -> PageFigure:
     }
     note = f"light {texts['light']}, deepest {texts['deepest']}; {of}"
     return PageFigure(f"best {texts['deeper']}", note)
+
+
+def calm(live: LiveState) -> tuple[bool, str]:
+    """Return whether the alarms are known, and what is shown where there is none."""
+    known = bool(live.state)
+    return known, "No alarm." if known else ALARMS_UNKNOWN
 
 
 def alarms(live: LiveState, silent_ns: int) -> list[Alert]:

@@ -8,7 +8,7 @@ from protocol.summary.fields import Deadlines, Limited, Limits, Loop, SampleCoun
 from protocol.summary.figures import figures as summary_figures
 from telepulse.telemetry.events import REFUSALS
 from telepulse.view.live import LiveState
-from telepulse.view.text import FIGURES, age, alarms, figures, state
+from telepulse.view.text import ALARMS_UNKNOWN, FIGURES, age, alarms, calm, figures, state
 from telepulse.view.window_data import Scores, window_scores
 from tests.support.given_faults import FILM_LOST
 from tests.unit.display_node.telemetry.test_alerts import ALERTS, REFUSAL, REFUSED, waiting_for
@@ -38,6 +38,11 @@ def test_an_unknown_figure_is_a_dash() -> None:
     assert shown.keys() == FIGURES.keys()
     assert {figure.value for figure in shown.values()} == {"–"}
     assert state(live) == ("waiting", "no telemetry from a display yet")
+
+
+def test_no_alarm_is_shown_once_the_display_has_sent_its_state(display: SimulatedDisplay) -> None:
+    assert calm(LiveState()) == (False, ALARMS_UNKNOWN)
+    assert calm(display.live) == (True, "No alarm.")
 
 
 def test_force_and_delay_are_shown_while_the_pulse_is_felt(display: SimulatedDisplay) -> None:
