@@ -13,7 +13,7 @@ from display_node.doctor import run_doctor
 from display_node.node import DisplayNode
 from display_node.reception.addresses import discovered, list_nodes
 from display_node.scene import DisplayScene
-from display_node.telemetry.recorder_process import start_recorder
+from display_node.telemetry.recorder_process import is_whole, start_recorder
 from display_node.verdict import NOT_VALID_STATUS, conclude
 from protocol import cli_options as options
 from protocol.config.scene import load_section
@@ -190,13 +190,7 @@ def display(
                     provenance.to_bytes(),
                 )
             ) as node,
-            start_recorder(
-                node.telemetry_address,
-                node.await_recorder,
-                record,
-                reader_key_path,
-                recorder_options,
-            ) as recorder,
+            start_recorder(node.telemetry, record, reader_key_path, recorder_options) as recorder,
         ):
             freeze_objects()
             # Last, so that everything else that can fail does so before the drive moves.
@@ -216,7 +210,7 @@ def display(
     status = conclude(PROGRAM, summary, "display node", console, json, provenance, details)
     if status == NOT_VALID_STATUS and node.stopped:
         status = 0
-    if status != options.FAULT_STATUS and recorder is not None and recorder.returncode != 0:
+    if status != options.FAULT_STATUS and not is_whole(recorder, summary):
         status = NOT_WHOLE
     raise SystemExit(status)
 

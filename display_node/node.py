@@ -51,8 +51,8 @@ class DisplayNode:
     addresses: of the one sensing node, one for each network path. keys: the sensing node's public
     key and this node's pair. telemetry_keys: this node's pair and the allow-list of the telemetry's
     readers; None admits every peer that can reach the socket. provenance: of this run, for
-    recorders. Raises SceneError for a force loop that is not stable, and AddressError for an
-    address that cannot be used.
+    recorders. telemetry: its publisher. Raises SceneError for a force loop that is not stable, and
+    AddressError for an address that cannot be used.
     """
 
     def __init__(
@@ -87,12 +87,12 @@ class DisplayNode:
             self._connection = Connection(self._context, addresses, paths, keys, turns)
             readers = Authenticator(self._context, telemetry_keys)
             telemetry = sockets.bind(self._context, zmq.XPUB, telemetry_address, readers)
-            self._telemetry = Publisher(telemetry, secrets.randbits(62), readers, provenance)
+            self.telemetry = Publisher(telemetry, secrets.randbits(62), readers, provenance)
         except BaseException:
             self.close()
             raise
-        self._display.take_ticks = self._telemetry.trace.add
-        self.telemetry_address = self._telemetry.address
+        self._display.take_ticks = self.telemetry.trace.add
+        self.telemetry_address = self.telemetry.address
 
     def use(self, *benches: Hardware | None) -> None:
         """Play on started real benches instead of the scene's models. Call it before `run`.
@@ -125,10 +125,6 @@ class DisplayNode:
     def close(self) -> None:
         """Close the sockets of a node that did not run; after `run` they are closed already."""
         self._context.destroy(linger=0)
-
-    def await_recorder(self, seconds: float) -> bool:
-        """Wait before `run` for a recorder that requests all messages; return whether one does."""
-        return self._telemetry.await_recorder(seconds)
 
     def run(self, seconds: float | None = None, once: bool = False) -> Summary:
         """Run the loop until `stop`, for `seconds`, or with `once` to the end of the stream.
@@ -191,7 +187,7 @@ class DisplayNode:
 
     def _receive(self, until_ns: int) -> None:
         """Take the waiting messages, at most until `until_ns`; the next call takes the rest."""
-        display, connection, captured = self._display, self._connection, self._telemetry.captured
+        display, connection, captured = self._display, self._connection, self.telemetry.captured
         receiver = display.receiver
         for path, route in enumerate(connection.routes):
             before, _ = receiver.frames
@@ -237,7 +233,7 @@ class DisplayNode:
         for message in self._display.requests(requested_ns):
             control = self._connection.control_for(message, requested_ns)
             sockets.send(control, encode_control(message))
-        if self._telemetry.trace.waiting and not self._publishing.waiting:
+        if self.telemetry.trace.waiting and not self._publishing.waiting:
             self._publishing.begin(self._publish())
 
     def _work(self) -> bool:
@@ -255,10 +251,10 @@ class DisplayNode:
         # State and first figures are those of the last published tick, whose time a status has.
         self._display.close_block()
         state = self._display.state
-        if self._telemetry.publish():
+        if self.telemetry.publish():
             summary = yield from self._summary_pieces()
             yield
-            self._telemetry.status(self._display.pack_status(summary, False, state))
+            self.telemetry.status(self._display.pack_status(summary, False, state))
 
     def _summary_pieces(self) -> Generator[None, None, Summary]:
         """Build the display's summary with the figures of this shell, piece by piece."""
@@ -287,7 +283,8 @@ class DisplayNode:
                 worst_5s=deadlines.worst_5s,
             ),
             rejected=dict(Counter(summary.rejected) + connection.rejected),
-            rejected_readers=dict(self._telemetry.rejected),
+            notes=[*summary.notes, *self.telemetry.notes],
+            rejected_readers=dict(self.telemetry.rejected),
             reconnections=connection.reconnections,
             data_connections=connection.data_connections,
             refused=connection.refused,
@@ -316,5 +313,5 @@ class DisplayNode:
                 contactor.latch(fault, self._display.fade)
         self._display.finish_scores()
         summary = complete(self._summary_pieces())
-        self._telemetry.finish(self._display.pack_status(summary, final=True))
+        self.telemetry.finish(self._display.pack_status(summary, final=True))
         return summary

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from rich.console import Console
 
 from protocol.cli_options import fault_status, sum_up
-from protocol.faults import texts_by_node
+from protocol.faults import texts_by_part
 from protocol.provenance import Provenance
 from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.fields import Limits, Summary
@@ -210,9 +210,8 @@ def _wrong(summary: Summary) -> Iterator[str]:
             f"This computer was too busy: in the worst 5 s {_percent(worst.missed)} of the ticks"
             f" were missed; {DOCTOR}."
         )
-    for of, texts in zip(
-        ("The film's sensor", "The sensing node"), texts_by_node(summary.notes), strict=True
-    ):
+    names = ("The film's sensor", "The sensing node", "The recorder")
+    for of, texts in zip(names, texts_by_part(summary.notes), strict=True):
         if texts:
             yield f"{of}: {'; '.join(texts)}."
     for name, figures in summary.of_each_contactor().items():

@@ -29,6 +29,7 @@ class Part(_Name):
     SENSOR = "sensor"
     LOOP = "loop"
     LINK = "link"
+    RECORDER = "recorder"
     UNKNOWN = "unknown"
 
 
@@ -193,12 +194,12 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something that is wrong with a sensor, and latches nothing."""
+    """Something that is wrong with a sensor or the recorder, and latches nothing."""
 
     part: Part
     #: What is wrong, in one line.
     text: str
-    #: Name of the contactor; empty where there is one alone, and for the sensing node's sensor.
+    #: Name of the contactor; empty where there is one alone, and for what is not of a contactor.
     contactor: str = ""
 
     def __str__(self) -> str:
@@ -231,15 +232,17 @@ def notes_of(summary: Mapping[str, Any]) -> list[Note]:
     ]
 
 
-def texts_by_node(notes: Iterable[Note]) -> tuple[list[str], list[str]]:
-    """Return the texts of notes on the films of a display, and of those on its sensing node."""
-    of_films, of_others = list[str](), list[str]()
+def texts_by_part(notes: Iterable[Note]) -> tuple[list[str], list[str], list[str]]:
+    """Return the texts of notes on a display's films, on its sensing node, and on its recorder."""
+    of_films, of_sensing_node, of_recorder = list[str](), list[str](), list[str]()
     for note in notes:
         if note.part is Part.FILM:
             of_films.append(f"{note.contactor}: {note.text}" if note.contactor else note.text)
+        elif note.part is Part.RECORDER:
+            of_recorder.append(note.text)
         else:
-            of_others.append(note.text)
-    return of_films, of_others
+            of_sensing_node.append(note.text)
+    return of_films, of_sensing_node, of_recorder
 
 
 # The earlier form: faults and notes were texts in one list, and a note began with one of

@@ -74,7 +74,7 @@ CONNECTIONS = {
     ),
     HANDSHAKE: ConnectionWords(
         "connections that ended before they were authenticated: no node, a wrong --peer, or a"
-        " network that breaks off",
+        " network that breaks off; an allowed node that connects again is not counted",
         "it made no ZeroMQ connection",
         Reason("breaks off", "it is not {peer.name}, whose public key --peer gives"),
     ),

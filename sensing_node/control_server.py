@@ -86,6 +86,8 @@ class Client:
     seen_ns: int
     report: DisplayReport | None = None
     confirmed: bool = False
+    #: The node has logged that it joined, by its name.
+    is_announced: bool = False
     #: Another display has the same name.
     is_twin: bool = False
     #: First message after another connection had come with the same name.
@@ -120,6 +122,9 @@ class ControlServer:
         # Further connections of displays, which began with a set-point, and the old ones of those
         # that have connected again.
         self._further: dict[Sender, Client] = {}
+        # Names of displays that were silent. After a cut, an old connection still delivers messages
+        # without a name.
+        self._forgotten: dict[Sender, str] = {}
         self.rejected: Counter[str] = Counter()
         self.other_version = ""
         self._strangers = TokenBucket(STRANGERS_PER_S, STRANGERS_PER_S)
@@ -184,7 +189,11 @@ class ControlServer:
         )
         for sender in further:
             del self._further[sender]
-        return [self.clients.pop(sender) for sender in displays]
+        gone = {sender: self.clients.pop(sender) for sender in displays}
+        self._forgotten |= {k: each.name for k, each in gone.items() if not each.confirmed}
+        for sender in list(self._forgotten)[:-MAX_CLIENTS]:
+            del self._forgotten[sender]
+        return list(gone.values())
 
     def _client(self, sender: Sender, message: ControlMessage, now_ns: int) -> Client:
         """Return the display that sent a message. Raises WireError.
@@ -200,41 +209,50 @@ class ControlServer:
             case _:
                 raise WireError("unexpected", "a message that only sensing nodes send")
         client = self.clients.get(sender)
+        if client is None and not name and (forgotten := self._forgotten.pop(sender, "")):
+            if any(other.name == forgotten for other in self.clients.values()):
+                # The display has connected again, and this is its old connection.
+                self._check_room()
+                self._further[sender] = Client(forgotten, now_ns)
+            else:
+                name = forgotten
         replaced = None if client is not None else self._further.get(sender)
         if replaced is not None and replaced.name and name in ("", replaced.name):
             return self._replaced_connection(sender, replaced, name, now_ns)
         further = client is None and not name and not isinstance(message, Bye)
         if further and (sender in self._further or isinstance(message, SetPoint)):
             return self._further_connection(sender, now_ns)
-        has_twin = False
+        has_twin = is_announced = False
         # Most messages are clock requests without a name, for which nothing is searched.
         if name and (client is None or client.name != name):
-            has_twin = self._replace_namesakes(name, now_ns)
+            has_twin, is_announced = self._replace_namesakes(name, now_ns)
         if client is None:
             self._further.pop(sender, None)
             self._check_room()
             client = self.clients[sender] = Client(name, now_ns, is_twin=has_twin)
+        client.is_announced |= is_announced
         client.name = name or client.name
         client.seen_ns = now_ns
         return client
 
-    def _replace_namesakes(self, name: str, now_ns: int) -> bool:
+    def _replace_namesakes(self, name: str, now_ns: int) -> tuple[bool, bool]:
         """Take the displays of a name for old connections of the one that sends it now.
 
         The display may have an entry under an old address, or from a request before its name.
-        Return whether there is another display of that name.
+        Return whether there is another display of that name, and whether it was announced.
         """
-        has_twin = False
+        has_twin = is_announced = False
         for sender in [k for k, other in self.clients.items() if other.name == name]:
             replaced = self.clients[sender]
             if replaced.is_twin and now_ns - replaced.seen_ns < TWINS_AFTER_NS:
                 has_twin = True
                 continue
             del self.clients[sender]
+            is_announced |= replaced.is_announced
             replaced.is_twin, replaced.again_ns = False, None
             if self._size < MAX_CLIENTS - 1:
                 self._further[sender] = replaced
-        return has_twin
+        return has_twin, is_announced
 
     def _replaced_connection(
         self, sender: Sender, client: Client, name: str, now_ns: int
@@ -245,6 +263,7 @@ class ControlServer:
             client.again_ns = now_ns
         elif name and now_ns - client.again_ns >= TWINS_AFTER_NS:
             self.clients[sender] = self._further.pop(sender)
+            client.is_announced = False
             for other in self.clients.values():
                 other.is_twin |= other.name == name
         return client

@@ -169,6 +169,8 @@ class SensingNode:
                 if due_ns >= next_check_ns:
                     next_check_ns = due_ns + SILENCE_CHECK_NS
                     for client in self._server.forget_silent(self._clock()):
+                        if not client.is_announced:
+                            continue
                         if client.confirmed:
                             logger.info(f"{client.shown_name} left")
                         else:
@@ -229,11 +231,15 @@ class SensingNode:
                 logger.warning(f"refused a set-point: {REASONS[cause]}")
         if len(clients) > known:
             self._requests.expect(len(clients))
-            logger.info(f"{clients[sender].shown_name} joined")
-        elif self._server.rejected["too_many_displays"] and not self._full:
+        client = clients.get(sender)
+        # It may send requests before its name.
+        if client is not None and client.name and not client.is_announced:
+            client.is_announced = True
+            logger.info(f"{client.shown_name} joined")
+        if self._server.rejected["too_many_displays"] and not self._full:
             self._full = True
             logger.warning(
-                f"{count_text(known, 'display')} here, which is the most;"
+                f"{count_text(len(clients), 'display')} here, which is the most;"
                 " no further one is answered"
             )
 

@@ -43,7 +43,11 @@ def pulse_alarm(beats: Mapping[str, Any]) -> str | None:
 
 
 class BeatStatistics:
-    """Statistics over all sessions of a run."""
+    """Statistics over all sessions of a run.
+
+    Counts are of the run. Rate, quality and medians begin anew after a gap in the stream, and the
+    alarm takes no gap for a pause of the pulse.
+    """
 
     def __init__(self) -> None:
         self._count = self._doubtful = 0
@@ -52,19 +56,24 @@ class BeatStatistics:
     def restart(self) -> None:
         """Begin with another session, whose clock and pulse may be others."""
         self._analysis = BeatAnalysis()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin with the first sample of a session, or after a gap."""
+        self._began_ns = self._ended_ns = self._analysis.began_ns
         self._good: deque[Beat] = deque()
-        self._qualities: deque[float] = deque([1.0] * JUDGED, maxlen=JUDGED)
+        # Of the newest beats; None for one that cannot be compared yet, which counts as good.
+        self._qualities: deque[float | None] = deque(maxlen=JUDGED)
         self._intervals_s: deque[float] = deque(maxlen=JUDGED)
-        # Newest sample, and the end of the newest beat; at first the first sample.
+        # Newest sample; `_ended_ns` is the end of the newest beat, at first the first sample.
         self._newest_ns = 0
-        self._ended_ns: int | None = None
 
     def observe(self, samples: ChannelSamples) -> list[Beat]:
         """Take a frame's samples and return new beats, as `BeatAnalysis.observe` does."""
-        if self._ended_ns is None:
-            self._ended_ns = samples.times_ns[0]
-        self._newest_ns = max(self._newest_ns, samples.times_ns[-1])
         beats = self._analysis.observe(samples)
+        if self._analysis.began_ns != self._began_ns:
+            self._begin()
+        self._newest_ns = max(self._newest_ns, samples.times_ns[-1])
         for beat in beats:
             self._add(beat)
         return beats
@@ -72,11 +81,9 @@ class BeatStatistics:
     def _add(self, beat: Beat) -> None:
         self._count += 1
         self._ended_ns = beat.onset_ns + round(beat.interval_s * 1e9)
-        # A beat that cannot be compared yet counts as good.
-        quality = 1.0 if beat.quality is None else beat.quality
-        self._qualities.append(quality)
+        self._qualities.append(beat.quality)
         self._intervals_s.append(beat.interval_s)
-        if quality < GOOD:
+        if not beat.good:
             self._doubtful += 1
             return
         good = self._good
@@ -93,13 +100,13 @@ class BeatStatistics:
             return BeatFigures()
         without = self._newest_ns - self._ended_ns > WITHOUT_NS
         qualities, good = self._qualities, self._good
-        doubtful = sum(quality < GOOD for quality in qualities)
+        doubtful = sum(quality is not None and quality < GOOD for quality in qualities)
         longer_s = [each_s for each_s in self._intervals_s if each_s > LONGEST_S]
         slow = len(longer_s) >= DOUBTFUL
         found = BeatFigures(
             count=self._count,
             rate_per_min=60 / statistics.median(longer_s) if slow else None,
-            quality=0.0 if without else qualities[-1] if self._count else None,
+            quality=0.0 if without else qualities[-1] if qualities else None,
             doubtful=self._doubtful / self._count if self._count else None,
             alarm=without or doubtful >= DOUBTFUL,
         )

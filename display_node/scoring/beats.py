@@ -43,7 +43,7 @@ class Beat(NamedTuple):
         Time to the next onset.
     quality : float or None
         0 to 1: similarity to the beats before, 0 for an implausible one or one that is longer than
-        3 s. None for the first three.
+        3 s. None for the first three, and for the first three after a gap of 0.1 s.
     """
 
     onset_ns: int
@@ -80,20 +80,24 @@ class Span(NamedTuple):
 
 
 class BeatAnalysis:
-    """Analysis of one channel's samples, frame by frame."""
+    """Analysis of one channel's samples, frame by frame. It begins anew after a gap of 0.1 s.
+
+    began_ns: time of the first sample, or of the first one after the last gap; None before any.
+    """
 
     def __init__(self) -> None:
-        self._shapes = ShapeMemory()
         self._begin(0)
+        self.began_ns: int | None = None
 
     def _begin(self, begin_ns: int) -> None:
-        """Begin the steps at a time; the shapes are kept."""
+        """Begin at a time. In a gap the sensor may have moved: earlier shapes are no measure."""
+        self.began_ns = begin_ns
+        self._shapes = ShapeMemory()
         self._steps = StepMeans(begin_ns)
         self._rises = RiseDetector()
         # Means over the steps from number `_first` on.
         self._means: list[float] = []
         self._first = 0
-        self._any = False
         # Work to be done: rises whose onset is not found yet, beats that are not measured, and the
         # measured one that is not judged.
         self._crossings: deque[int] = deque()
@@ -107,9 +111,8 @@ class BeatAnalysis:
 
         Frames may be out of order by 0.1 s; later ones are ignored, and repeated ones.
         """
-        if not self._any or not self._steps.follows(samples):
+        if self.began_ns is None or not self._steps.follows(samples):
             self._begin(samples.times_ns[0])
-            self._any = True
         for mean in self._steps.add(samples):
             self._add(mean)
         beats = []

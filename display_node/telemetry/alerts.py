@@ -12,7 +12,7 @@ from typing import Any
 from display_node.scoring.beat_statistics import pulse_alarm
 from display_node.scoring.deadlines import deadline_alarm
 from display_node.scoring.prediction_score import prediction_alarm
-from protocol.faults import START_AGAIN, Fault, faults_of, notes_of, texts_by_node
+from protocol.faults import START_AGAIN, Fault, faults_of, notes_of, texts_by_part
 from protocol.finger import describe_finger, finger_in
 from protocol.refusals import REVOKED, Reason
 from protocol.summary.fields import awaited_in, contactors_of
@@ -33,6 +33,7 @@ class AlertKind(StrEnum):
     NO_TELEMETRY = "no telemetry"
     FILM_SENSOR = "film's sensor"
     SENSING_NODE = "sensing node"
+    RECORDER = "recorder"
     REVOKED = "revoked"
     NOT_CONNECTED = "not connected"
     STALE = "stale"
@@ -124,9 +125,9 @@ def alerts(
 
 
 def _noted(summary: Mapping[str, Any]) -> Iterator[Alert]:
-    """Yield the alerts of the sensors: of the films, and of the sensing node."""
-    kinds = AlertKind.FILM_SENSOR, AlertKind.SENSING_NODE
-    for kind, texts in zip(kinds, texts_by_node(notes_of(summary)), strict=True):
+    """Yield the alerts of the films' sensors, of the sensing node, and of the recorder."""
+    kinds = AlertKind.FILM_SENSOR, AlertKind.SENSING_NODE, AlertKind.RECORDER
+    for kind, texts in zip(kinds, texts_by_part(notes_of(summary)), strict=True):
         if texts:
             yield Alert(kind, texts[0], tuple(texts[1:]))
 

@@ -1,5 +1,6 @@
 """Traces, statuses, marks and, on request, copies of received messages, over one socket."""
 
+import logging
 import time
 from collections import Counter
 
@@ -7,12 +8,14 @@ import zmq
 
 from protocol import sockets
 from protocol.errors import WireError
+from protocol.faults import Note, Part
 from protocol.provenance import PROVENANCE
 from protocol.security.authenticator import Authenticator
 from protocol.security.budgets import SubscriptionBudget
 from protocol.wire.marks import MARK, REQUEST, Mark, pack_mark, read_request
 from protocol.wire.telemetry import (
     CAPTURE,
+    RECORDER,
     STATUS,
     STATUS_TRACES,
     TRACE,
@@ -20,11 +23,16 @@ from protocol.wire.telemetry import (
     TraceWriter,
 )
 
+logger = logging.getLogger(__name__)
+
 LOOK_EVERY_S = 0.01
 # A request for a mark may have waited for its connection; an older one is refused.
 OLDEST_NS = 60_000_000_000
 # A reader on the same machine reads its clock after the display has read its own.
 NEWEST_NS = 1_000_000_000
+RECORDER_GONE = (
+    "it is gone, the rest of this run is not recorded; telepulse record begins another recording"
+)
 
 
 class MarkCounter:
@@ -58,7 +66,8 @@ class Publisher:
     """Publisher of a display's telemetry over one bound XPUB socket.
 
     run: random number of this run of the display. authenticator: of the readers. provenance: sent
-    to readers that request it. trace: of the ticks that are not published yet.
+    to readers that request it. trace: of the ticks that are not published yet. notes: what is wrong
+    with the display's recorder.
     """
 
     def __init__(
@@ -73,6 +82,10 @@ class Publisher:
         self._subscriptions = SubscriptionBudget(socket, topics, REQUEST)
         self._provenance = provenance
         self._marks = MarkCounter()
+        # Topic of the recorder that the display has started; None without one.
+        self._recorder: bytes | None = None
+        self._recording = False
+        self.notes: list[Note] = []
         self.trace = TraceWriter()
         self.captured = CaptureWriter(run)
         self.address = socket.getsockopt_string(zmq.LAST_ENDPOINT)
@@ -100,17 +113,30 @@ class Publisher:
 
     def finish(self, status: bytes) -> None:
         """Publish the remaining ticks and messages, and the last status."""
+        # From here on the recorder may end.
+        self._recorder = None
         self.publish()
         self._publish_captured()
         self.status(status)
 
-    def await_recorder(self, seconds: float) -> bool:
-        """Wait for a reader that requests captured messages; return False if none does in time."""
+    def await_recorder(self, seconds: float, name: str | None = None) -> bool:
+        """Wait for the recorder of this name, or without one for any; return whether it reads.
+
+        A recorder requests captured messages. If the one of `name` ends during the run, that is a
+        note.
+        """
+        if name is not None:
+            self._recorder = RECORDER + name.encode()
+            self._subscriptions.accept(self._recorder)
         until_s = time.monotonic() + seconds
-        while not self.captured.wanted and time.monotonic() < until_s:
+        while not self._is_recorded and time.monotonic() < until_s:
             self._serve_readers()
             time.sleep(LOOK_EVERY_S)
-        return self.captured.wanted
+        return self._is_recorded
+
+    @property
+    def _is_recorded(self) -> bool:
+        return self.captured.wanted if self._recorder is None else self._recording
 
     def _publish_captured(self) -> None:
         self._serve_readers()
@@ -128,5 +154,16 @@ class Publisher:
                     sockets.send(self._socket, MARK, pack_mark(mark))
                 continue
             self.captured.follow(message)
+            if message[1:] == self._recorder:
+                self._follow_recorder(message[:1] == b"\1")
             if message == b"\1" + PROVENANCE and self._provenance:
                 sockets.send(self._socket, PROVENANCE, self._provenance)
+
+    def _follow_recorder(self, recording: bool) -> None:
+        """Note that the display's recorder has subscribed, also again, or is gone."""
+        self._recording = recording
+        if recording:
+            self.notes = []
+        else:
+            self.notes = [Note(Part.RECORDER, RECORDER_GONE)]
+            logger.error(f"recorder: {RECORDER_GONE}")

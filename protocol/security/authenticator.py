@@ -17,6 +17,7 @@ from protocol import sockets
 from protocol.host.process import connections_that_fit
 from protocol.refusals import CONNECTIONS, HANDSHAKE, TOO_MANY
 from protocol.security import zap
+from protocol.security.budgets import TokenBucket
 from protocol.security.connection_table import ConnectionBudget, ConnectionTable
 from protocol.security.link_keys import ServerKeys
 
@@ -25,8 +26,26 @@ logger = logging.getLogger(__name__)
 # Number of refused peers that are named in the log, and of addresses that are stored for a key.
 MAX_NAMED, MAX_ADDRESSES = 1_000, 100
 EVERYWHERE = "everywhere"
+# An allowed client that connects again after a cut breaks off some 6 handshakes, and tries whether
+# the node is reached. These are no refusals, up to this number at once and per second.
+OWN_BREAKS, OWN_BREAKS_PER_S = 20.0, 1.0
 # Number of requests answered in a call; with the key exchanges, they take some 0.3 ms of a loop.
 MAX_ANSWERS = 16
+
+
+class AllowedClient:
+    """Client whose key was accepted: its addresses, and the handshakes that it breaks off."""
+
+    def __init__(self) -> None:
+        self.addresses: set[str] = set()
+        self._breaks = TokenBucket(OWN_BREAKS_PER_S, OWN_BREAKS)
+
+    def may_break(self, address: str, now_ns: int) -> bool:
+        """Return whether it may have broken off a handshake from an address.
+
+        The address is "" where the connection ended before it could be read.
+        """
+        return (not address or address in self.addresses) and self._breaks.take(now_ns)
 
 
 class Authenticator:
@@ -42,7 +61,8 @@ class Authenticator:
         Sockets to wait for, besides the protected ones: the authentication requests, and the events
         of each protected socket.
     rejected : Counter
-        Refusals by cause.
+        Refusals by cause; handshakes that allowed clients break off as they connect again are
+        none.
     """
 
     def __init__(
@@ -55,8 +75,8 @@ class Authenticator:
         self._budget = ConnectionBudget(connections_that_fit() if most is None else most)
         # Cause, address and key of the refusals that were logged.
         self._named: set[tuple[str, str, bytes]] = set()
-        # Addresses from which each key was accepted.
-        self._addresses: dict[bytes, set[str]] = {}
+        # By key.
+        self._allowed: dict[bytes, AllowedClient] = {}
         self._to_cut: set[str] = set()
         self._keys = keys
         if keys is not None:
@@ -88,7 +108,9 @@ class Authenticator:
         for table in self._tables:
             for failure, address in table.failures():
                 # Without keys no peer is refused, and an early disconnection is no failure.
-                if self._keys is not None:
+                if self._keys is None:
+                    continue
+                if failure != HANDSHAKE or not self._broken_by_allowed(address, now_ns):
                     self._refuse(failure, address)
         for address in self._budget.enforce(self._tables, now_ns):
             self._refuse(TOO_MANY, address)
@@ -100,7 +122,7 @@ class Authenticator:
 
     def _cut_revoked(self, now_ns: int) -> None:
         for key in self._list.poll(now_ns):
-            addresses = self._addresses.pop(key, set())
+            addresses = self._allowed.pop(key, AllowedClient()).addresses
             self._to_cut |= addresses if len(addresses) < MAX_ADDRESSES else {EVERYWHERE}
         if self._to_cut:
             for table in self._tables:
@@ -119,10 +141,13 @@ class Authenticator:
         if request.key != self._node_key and (cause := self._list.cause_to_refuse(request.key)):
             self._refuse(cause, request.address, request.key)
             return cause
-        addresses = self._addresses.setdefault(request.key, set())
+        addresses = self._allowed.setdefault(request.key, AllowedClient()).addresses
         if len(addresses) < MAX_ADDRESSES:
             addresses.add(request.address)
         return None
+
+    def _broken_by_allowed(self, address: str, now_ns: int) -> bool:
+        return any(client.may_break(address, now_ns) for client in self._allowed.values())
 
     def _refuse(self, cause: str, address: str, key: bytes = b"") -> None:
         self.rejected[cause] += 1

@@ -58,12 +58,17 @@ class SubscriptionBudget:
         self, socket: sockets.Socket, topics: Sequence[bytes], request: bytes = b""
     ) -> None:
         self._socket = socket
-        self._topics, self._request = topics, request
+        self._topics, self._request = list(topics), request
         self._named: set[str] = set()
         self._requests: dict[int, TokenBucket] = {}
         # Address, and used bytes of the budget, by descriptor.
         self._spent: dict[int, tuple[str, int]] = {}
         self.rejected: Counter[str] = Counter()
+
+    def accept(self, topic: bytes) -> None:
+        """Accept subscriptions to one more topic."""
+        if topic not in self._topics:
+            self._topics.append(topic)
 
     def receive(self) -> Iterator[bytes]:
         r"""Yield waiting subscriptions to and cancellations of published topics. Call it often.

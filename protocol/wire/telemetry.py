@@ -8,6 +8,8 @@ Topics, each a multipart message [topic, msgpack]:
   arrival; published only while a recorder subscribes. Each of this topic states how much was
   published before, so that gaps show;
 - "mark": a text at a time (`marks`);
+- "~recorder/NAME": nothing. The recorder that a display has started subscribes to it, with a random
+  name that no other reader has, so that the display detects when its recorder begins and ends;
 - "provenance": versions, host and command of the node, on request (`protocol/provenance.py`).
 """
 
@@ -228,6 +230,9 @@ def read_trace(data: bytes) -> list[Trace]:
 
 
 CAPTURE = b"heard"
+# ZeroMQ repeats subscriptions in alphabetical order when it connects again: this one comes last, so
+# that a recorder which has subscribed to it has subscribed to all that it reads.
+RECORDER = b"~recorder/"
 CONTROL = -1
 # Overhead of a message beside its bytes.
 OVERHEAD_BYTES = 64

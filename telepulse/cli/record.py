@@ -77,6 +77,7 @@ def record(
     peer: PeerOption = None,
     insecure: InsecureOption = False,
     display_pid: Annotated[int | None, typer.Option(hidden=True)] = None,
+    recorder_name: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Record all that a display receives and does into an MCAP file, which Foxglove opens.
 
@@ -115,7 +116,7 @@ def record(
         sources: list[MarkSource] = [LineMarks()] if marks else []
         if marks_from is not None:
             sources.append(LslMarks(marks_from))
-        recorder = TelemetryRecorder(address, file, keys, stated, sources)
+        recorder = TelemetryRecorder(address, file, keys, stated, sources, recorder_name)
     stop_on_signals(recorder.stop)
     if not recorder.run(seconds, until_silent, display_pid):
         raise SystemExit(NOT_WHOLE)

@@ -12,7 +12,7 @@ from display_node.prediction.scene import own_predictor
 from display_node.press.scene import PressScene
 from display_node.press.sweep import DepthSweep, SweepPlan, SweptLevel
 from display_node.scene import DisplayScene
-from display_node.telemetry.recorder_process import start_recorder
+from display_node.telemetry.recorder_process import is_whole, start_recorder
 from protocol.cli_options import (
     InsecureOption,
     KeyOption,
@@ -31,7 +31,14 @@ from protocol.provenance import collect
 from protocol.refusals import explain_causes
 from protocol.security.link_keys import KeyOptions
 from sensing_node.scene import SensingScene, build_source
-from telepulse.cli.options import PROGRAM, FolderOption, SceneArgument, TablesOption, publish
+from telepulse.cli.options import (
+    NOT_WHOLE,
+    PROGRAM,
+    FolderOption,
+    SceneArgument,
+    TablesOption,
+    publish,
+)
 from telepulse.cli.view import open_page
 from telepulse.document import Report
 from telepulse.recording.depth_report import describe_level, report_depth
@@ -90,8 +97,9 @@ def sweep(
     three. A pulse that is nearly gone is not pressed further. Prints height and shape of the pulse
     at each level, and writes a report. Ctrl-C eases off and reports what there is.
 
-    Exit status: 0 with a report; 2 when the wrist cannot be pressed, the sweep ended early for
-    another reason than Ctrl-C, or there are too few beats; the reason is a line on stderr.
+    Exit status: 0 with a report; 1 when its recording is not whole (`--record`); 2 when the wrist
+    cannot be pressed, the sweep ended early for another reason than Ctrl-C, or there are too few
+    beats; the reason is a line on stderr.
     """
     console = plain_console(json=json)
 
@@ -119,7 +127,10 @@ def sweep(
             display = load_section(path, "display", DisplayScene)
             keys = KeyOptions(key, peer, insecure=insecure).client(connect)
 
+    recorded = True
+
     def build() -> Report:
+        nonlocal recorded
         causes: list[str] = []
         if connect is None:
             sweep_wrist(wrist, run, plan.high_n)
@@ -136,14 +147,14 @@ def sweep(
             with closing(node), ExitStack() as stack:
                 if page:
                     open_page(stack, node.telemetry_address, True, console)
-                address, starts = node.telemetry_address, node.await_recorder
-                with start_recorder(address, starts, record, None, []) as recorder:
-                    logger.info(f"waiting for {connect}; telemetry on {address}")
+                with start_recorder(node.telemetry, record, None, []) as recorder:
+                    logger.info(f"waiting for {connect}; telemetry on {node.telemetry_address}")
                     node.sweep_with(run)
                     stop_on_signals(run.release)
                     freeze_objects()
-                    causes = explain_causes(node.run().rejected)
-                if recorder is not None and recorder.returncode != 0:
+                    summary = node.run()
+                causes = explain_causes(summary.rejected)
+                if not (recorded := is_whole(recorder, summary)):
                     logger.warning(f"{record}: the recording is not whole")
         if run.fault:
             reason = "; ".join((run.fault, *causes))
@@ -152,6 +163,8 @@ def sweep(
         return report_depth(run.curve(), run.levels, run.notes, source, modelled=connect is None)
 
     publish(build, out, json)
+    if not recorded:
+        raise SystemExit(NOT_WHOLE)
 
 
 def _plan(low: str, high: str, steps: int, ramp: float | None) -> SweepPlan:

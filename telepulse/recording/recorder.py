@@ -7,9 +7,10 @@ from pathlib import Path
 
 from protocol.config.quantities import count_text
 from protocol.security.link_keys import ClientKeys
+from protocol.wire.telemetry import RECORDER
 from telepulse.recording.marks import MarkSource
 from telepulse.recording.mcap_writer import McapWriter
-from telepulse.telemetry.client import TelemetryClient
+from telepulse.telemetry.client import ALL_TOPICS, TelemetryClient
 from telepulse.telemetry.decoder import MARK_EVENT
 from telepulse.telemetry.events import Event
 from telepulse.telemetry.schema import EVENT, TOPIC_NAMES
@@ -30,10 +31,15 @@ class TelemetryRecorder:
         keys: ClientKeys | None = None,
         about: Mapping[str, str] = {},
         marks: Sequence[MarkSource] = (),
+        name: str | None = None,
     ) -> None:
-        """Connect, and create the file. Raises AddressError or OutputError."""
+        """Connect, and create the file. Raises AddressError or OutputError.
+
+        name: by which the display that has started this recorder knows it.
+        """
         self._address, self._path = address, path
         self._about, self._marks = dict(about), marks
+        self._topics = ALL_TOPICS if name is None else (*ALL_TOPICS, RECORDER + name.encode())
         self._reason: str | None = None
         self._client = TelemetryClient(address, keys)
         self._decoder = self._client.decoder
@@ -62,7 +68,7 @@ class TelemetryRecorder:
         if self._about:
             self._file.state(self._about)
         flush_ns = time.perf_counter_ns() + FLUSH_EVERY_NS
-        self._client.subscribe()
+        self._client.subscribe(self._topics)
         try:
             for entries in self._client.follow(str(self._path), seconds, silence_s, display_pid):
                 for entry in entries:

@@ -22,6 +22,7 @@ logger = logging.getLogger(__name__)
 # ZeroMQ does not retry after a refusal, but the key may be allowed later.
 RECONNECT_AFTER_NS = 2_000_000_000
 POLL_EVERY_NS = 100_000_000
+ALL_TOPICS = PROVENANCE, TRACE, STATUS, MARK, CAPTURE
 
 
 class TelemetryClient:
@@ -57,10 +58,8 @@ class TelemetryClient:
         self._requested: dict[int, str] = {}
         self.decoder = TelemetryDecoder(*names)
 
-    def subscribe(
-        self, topics: Sequence[bytes] = (PROVENANCE, TRACE, STATUS, MARK, CAPTURE)
-    ) -> None:
-        """Subscribe to topics; a display that waits for its recorder continues at CAPTURE."""
+    def subscribe(self, topics: Sequence[bytes] = ALL_TOPICS) -> None:
+        """Subscribe to topics; a display that waits for its recorder continues at the last one."""
         for topic in topics:
             self._socket.send(b"\1" + topic)
 

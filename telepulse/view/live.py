@@ -27,11 +27,12 @@ EVENTS, LISTED_EVENTS = 200, 12
 KINDS = {LEVELS["WARNING"]: "warning", LEVELS["ERROR"]: "error"}
 # A status may name hundreds of contactors; a page has room for these.
 MAX_CONTACTORS = 8
+SAMPLE_COUNTS = "played", "predicted", "lost", "late"
 # Columns of the ticks of a contactor.
 FELT_N, DELAY_NS, PREDICTOR_ERROR_N, TARGET_N = range(4)
 TICK_FIELDS = "felt_n", "predictor_error_n", "target_n"
-# Time over which the shares of lost and late samples are taken; most statuses within it.
-LOSS_NS, LOSS_STATUSES = 1_000_000_000, 64
+# Time over which the plotted shares of lost and late samples are taken.
+LOSS_NS = 1_000_000_000
 
 
 class ContactorState:
@@ -102,8 +103,8 @@ class LiveState:
         self.delays = RollingTable(1, FAST_ROWS)
         self.statuses = RollingTable(8, SLOW_ROWS)
         self.depth = DepthState()
-        # Times of the last second's statuses and of the one before, with their samples.
-        self._samples: deque[tuple[int, Fields]] = deque(maxlen=LOSS_STATUSES)
+        # Numbers of samples so far, at each status: played, predicted, lost and late.
+        self._samples = RollingTable(len(SAMPLE_COUNTS), SLOW_ROWS)
         self._offset_ns: int | None = None
         self._group_delay_ns = 0
         self.trusted = False
@@ -114,6 +115,24 @@ class LiveState:
         self.channels: list[str] = []
         self.summary: Fields = {}
         self.stream_ended = self.display_ended = False
+
+    def missing(self, span_ns: int) -> tuple[float, float]:
+        """Return the percentages lost and late of the samples that were due in the last `span_ns`.
+
+        NaN where none was due. The time ends at the newest status, and begins at one, or where the
+        telemetry does.
+        """
+        t_ns, counts = self._samples.since(0)[1:]
+        if not len(t_ns):
+            return math.nan, math.nan
+        begin = max(int(np.searchsorted(t_ns, t_ns[-1] - span_ns, "right")) - 1, 0)
+        grown = counts[-1] - counts[begin]
+        due = float(grown.sum())
+        if due <= 0:
+            return math.nan, math.nan
+        # A lost sample that arrives after all becomes a predicted or a late one.
+        *_, lost, late = np.maximum(100 * grown / due, 0.0)
+        return float(lost), float(late)
 
     @property
     def pressing(self) -> bool:
@@ -183,13 +202,11 @@ class LiveState:
             self._offset_ns = round(clock["offset_ms"] * MS)
         self._follow(fields.get("playing", []))
         at_ns = max(self.now_ns, entry.t_ns)
-        self._samples.append((at_ns, self.summary["samples"]))
-        while len(self._samples) > 1 and self._samples[1][0] <= at_ns - LOSS_NS:
-            self._samples.popleft()
+        self._samples.add(at_ns, *(self.summary["samples"].get(key, 0) for key in SAMPLE_COUNTS))
         self.statuses.add(
             at_ns,
             *(clock.get(name, math.nan) for name in ("offset_ms", "uncertainty_ms")),
-            *self._shares(),
+            *self.missing(LOSS_NS),
             sum(self.summary["rejected"].values()),
             sum(
                 limit.get("seconds", 0.0)
@@ -210,17 +227,6 @@ class LiveState:
         self.contactors = self.contactors[: len(shown)] + [ContactorState() for _ in range(more)]
         for contactor, signal in zip(self.contactors, shown, strict=True):
             contactor.playing = signal
-
-    def _shares(self) -> tuple[float, float]:
-        """Return the percentages lost and late of the samples due in the last second."""
-        (_, old), (_, new) = self._samples[0], self._samples[-1]
-        names = ("played", "predicted", "lost", "late")
-        grown = {name: new.get(name, 0) - old.get(name, 0) for name in names}
-        due = sum(grown.values())
-        if due <= 0:
-            return math.nan, math.nan
-        # A lost sample that arrives after all becomes a predicted or a late one.
-        return max(0.0, 100 * grown["lost"] / due), max(0.0, 100 * grown["late"] / due)
 
     def _stream(self, entry: Entry) -> None:
         fields = entry.fields

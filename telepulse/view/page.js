@@ -181,6 +181,11 @@ if (shown) {
   if (shown.contactors) showContactors(...shown.contactors);
   if ("beyond" in shown) write("beyond", shown.beyond);
   if (shown.alarms) showAlarms(shown.alarms);
+  if (shown.calm) {
+    const [known, text] = shown.calm;
+    write("calm", text);
+    at("calm").classList.toggle("unknown", !known);
+  }
   if (shown.events) showEvents(shown.events);
   // After what waits to be drawn: the server sends no more before this.
   setTimeout(() => { choices.data = { ...choices.data, seen: [shown.number] }; });

@@ -233,6 +233,7 @@ class LivePage:
             fingers=FINGERS,
             event_lines=EVENT_LINES.values(),
             columns=text.CONTACTOR_COLUMNS,
+            calm=text.ALARMS_UNKNOWN,
         )
         # State at the beginning of a pause.
         self._frozen: LiveState | None = None
@@ -318,6 +319,7 @@ class LivePage:
             "alarms": [
                 (str(each.identity), each.name, each.text) for each in text.alarms(live, silent_ns)
             ],
+            "calm": text.calm(live),
             "events": [
                 (t_ns // 1_000_000, *rest)
                 for t_ns, *rest in list(live.events)[: -LISTED_EVENTS - 1 : -1]

@@ -33,6 +33,8 @@ from telepulse.view.window_data import SECOND_NS, Scores, WindowScores
 # An alarm for a single occurrence is shown for this long.
 SHOWN_NS = 5 * SECOND_NS
 MUCH_LOSS = 5.0
+# Before the first status; also what a page shows while it loads.
+ALARMS_UNKNOWN = "Alarms are unknown until a display sends its state."
 # Indices of columns in `LiveState.statuses`.
 LOST, LATE, REFUSED, LIMITED, READERS_REFUSED = 2, 3, 4, 5, 6
 NOTHING = "–"
@@ -151,7 +153,7 @@ def figures(live: LiveState, data: WindowScores, silent_ns: int = 0) -> dict[str
         "aligned": _error(scores.aligned_n, scores, window),
         "in_phase": _error(scores.in_phase_n, scores, window),
         "within": _within(scores, window),
-        "loss": _loss(live.summary.get("samples", {})),
+        "loss": _loss(live, data, window),
         "predictor": PageFigure(live.contactor(data.chosen).playing.get("predictor") or NOTHING),
         "press": _press(live.summary.get("press", {})),
         "levels": _levels(live.depth),
@@ -255,15 +257,18 @@ def _within(scores: Scores, window: str) -> PageFigure:
     return PageFigure(SHARE.text(scores.within_jnd), note)
 
 
-def _loss(samples: Fields) -> PageFigure:
+def _loss(live: LiveState, data: WindowScores, window: str) -> PageFigure:
+    """Return the share of samples lost or late in the window, and their counts since the start."""
+    samples: Fields = live.summary.get("samples", {})
     lost, late = samples.get("lost"), samples.get("late")
     if lost is None or late is None:
         return PageFigure(NOTHING)
-    predicted = samples.get("predicted", 0)
-    due = lost + late + samples.get("played", 0) + predicted
-    share = (lost + late) / due if due else 0.0
-    note = f"{count_text(lost, 'sample')} lost, {late} late, {predicted} predicted in the run"
-    return PageFigure(f"{100 * share:.2f} %", note)
+    percent = sum(live.missing(round(data.window_s * SECOND_NS)))
+    note = (
+        f"of {window}; since the display started: {count_text(lost, 'sample')} lost, {late} late,"
+        f" {samples.get('predicted', 0)} predicted"
+    )
+    return PageFigure(NOTHING if math.isnan(percent) else f"{percent:.2f} %", note)
 
 
 def _force(felt_n: float, target_n: float) -> PageFigure:
@@ -310,6 +315,12 @@ def _levels(depth: DepthState) -> PageFigure:
     return PageFigure(f"best {texts['deeper']}", note)
 
 
+def calm(live: LiveState) -> tuple[bool, str]:
+    """Return whether the alarms are known, and what is shown where there is none."""
+    known = bool(live.state)
+    return known, "No alarm." if known else ALARMS_UNKNOWN
+
+
 def alarms(live: LiveState, silent_ns: int) -> list[Alert]:
     """Return the present alarms; silent_ns: time since the last message from the display."""
     if not live.state:
@@ -340,7 +351,8 @@ def _counted(live: LiveState) -> list[Alert]:
             found.append(Alert(AlertKind.LIMITED, "; ".join(limits)))
         missing = recent[-1, LOST] + recent[-1, LATE]
         if missing > MUCH_LOSS:
-            found.append(Alert(AlertKind.LOSS, f"{missing:.0f} % of the samples are lost or late"))
+            text = f"{missing:.0f} % of the last second's samples are lost or late"
+            found.append(Alert(AlertKind.LOSS, text))
     if live.now_ns - live.stepped_ns < SHOWN_NS:
         text = "a clock has jumped; its offset is estimated again"
         found.append(Alert(AlertKind.CLOCK_STEP, text))

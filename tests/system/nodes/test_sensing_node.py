@@ -16,7 +16,7 @@ from protocol.wire.messages import (
     decode_frame,
     encode_control,
 )
-from tests.support.log_lines import strays
+from tests.support.log_lines import messages, strays
 from tests.support.nodes import RADIAL, process, read_json
 from tests.support.sensing_client import PATIENCE_MS, Client
 
@@ -37,6 +37,19 @@ def scene_file(folder: Path, source: str, **keys: str) -> Path:
     lines = [f'{key} = "{value}"' for key, value in keys.items()]
     path.write_text("\n".join(["[sensing]", *lines, "[sensing.source]", source]), "utf-8")
     return path
+
+
+def test_a_display_that_joins_and_leaves_is_logged_by_its_name(
+    address: str, client: Client
+) -> None:
+    with process(MODULE, str(RADIAL), "--bind", address) as node:
+        # A display that has connected again may send a request first.
+        assert isinstance(client.ask(ClockRequest(1)), ClockReply)
+        client.join("anna")
+        assert isinstance(client.ask(ClockRequest(2)), ClockReply)
+        client.join("anna")
+        log = messages(end(node))
+    assert [line for line in log if line.endswith((" joined", " left"))] == ["anna joined"]
 
 
 def test_a_stream_from_hello_to_bye(address: str, client: Client, tmp_path: Path) -> None:

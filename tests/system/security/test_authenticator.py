@@ -1,6 +1,7 @@
 """Authentication and connection budgets on real sockets; the authenticator is polled by hand."""
 
 import socket as plain
+import struct
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -259,8 +260,37 @@ def test_a_flood_while_the_authenticator_is_not_polled_blocks_no_connection(
     sockets.send(publisher.data, b"-1")
     assert subscriber.socket.poll(PATIENCE_S * 1000)
     assert subscriber.socket.recv() == b"-1"
-    publisher.poll_until(lambda: publisher.rejected["handshake"] == 1500)
+    # The first of them may be those of the allowed client, which has the same address.
+    publisher.poll_until(lambda: publisher.rejected["handshake"] >= 1400)
     assert len(logged) <= 2
+
+
+@linux
+def test_an_allowed_client_that_connects_again_is_not_counted_as_refused(
+    publisher: Publisher, keyring: Keyring, logged: list[str]
+) -> None:
+    def break_off(source: str) -> None:
+        for how in ("closed", "reset"):
+            one = publisher.connect_stranger(source)
+            # Its address is read.
+            publisher.poll_for(QUIET_S / 3)
+            if how == "reset":
+                one.setsockopt(plain.SOL_SOCKET, plain.SO_LINGER, struct.pack("ii", 1, 0))
+            one.close()
+            publisher.poll_for(QUIET_S / 3)
+
+    subscriber = publisher.subscribe(keyring.client("finger"))
+    publisher.poll_until(lambda: subscriber.received)
+    for _ in range(3):
+        break_off(HERE)
+    assert (publisher.rejected, logged) == ({}, [])
+    # Another address is a stranger's.
+    break_off(THERE)
+    publisher.poll_until(lambda: publisher.rejected["handshake"] == 2)
+    revoke(keyring.allowed, "finger")
+    publisher.poll_until(lambda: publisher.rejected["revoked_key"])
+    break_off(HERE)
+    publisher.poll_until(lambda: publisher.rejected["handshake"] >= 4)
 
 
 def is_closed(one: plain.socket) -> bool:

@@ -10,7 +10,7 @@ import pytest
 
 from telepulse.processes import free_addresses
 from tests.support.browser import CONTRAST, Page, Visit, unfold
-from tests.support.nodes import RADIAL, start
+from tests.support.nodes import RADIAL, process, start
 from tests.support.waiting import PATIENCE_S, until
 
 MODULE = "telepulse"
@@ -110,6 +110,24 @@ def test_the_page_moves_and_shows_what_is_felt(bench: Bench, visit: Visit) -> No
             # Until the window holds nothing from before the prediction is trusted.
             page.wait_for_timeout(16_000)
         keep(page, "view.png")
+
+
+def test_before_the_first_telemetry_alarms_are_unknown_and_not_none(visit: Visit) -> None:
+    """Also while the page loads: without its script it shows the same."""
+    _, telemetry = free_addresses(2)
+    border = "getComputedStyle(document.getElementById('calm')).borderLeftColor"
+    with process(MODULE, "view", telemetry) as view:
+        url = view.read_line(3 * PATIENCE_S).removeprefix("page: ")
+        with visit(url) as page:
+            page.locator("#state-note", has_text="no telemetry from a display yet").wait_for()
+            assert text_of(page, "calm").startswith("Alarms are unknown")
+            unknown = page.evaluate(border)
+            options = ("--telemetry", telemetry, "--connect", free_addresses(1)[0], "--quiet")
+            with process("display_node.cli", str(RADIAL), *options):
+                page.locator("#calm", has_text=re.compile("^No alarm.$")).wait_for()
+                assert page.evaluate(border) != unknown
+        with visit(url, java_script_enabled=False) as page:
+            assert text_of(page, "calm").startswith("Alarms are unknown")
 
 
 def text_of(page: Page, id: str) -> str:

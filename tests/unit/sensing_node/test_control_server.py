@@ -182,6 +182,21 @@ def test_a_display_that_connects_again_is_one_client(
     assert list(server.clients) == [BERT]
 
 
+def test_what_an_old_connection_of_a_forgotten_display_delivers_is_not_another_display(
+    server: ControlServer,
+) -> None:
+    for sender, again in ((ANNA, False), (BERT, True)):
+        ask(server, sender, HELLO)
+        later_ns = NOW_NS + FORGET_AFTER_NS + 1
+        assert [client.name for client in server.forget_silent(later_ns)] == ["anna's"]
+        if again:
+            ask(server, CARL, HELLO, later_ns)
+        for _ in range(2):
+            assert isinstance(ask(server, sender, ClockRequest(1), later_ns), ClockReply)
+        assert [client.name for client in server.clients.values()] == ["anna's"]
+        server.clients.clear()
+
+
 def test_two_displays_of_one_name_are_two_clients(server: ControlServer) -> None:
     """They neither replace each other again and again, nor lose their reports."""
     appeared, kept = 0, set[Sender]()

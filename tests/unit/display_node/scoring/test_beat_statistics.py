@@ -79,11 +79,38 @@ def test_a_signal_that_is_no_pulse_raises_the_alarm_and_a_pulse_ends_it(kind: st
     assert found.quality == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_cut_of_the_stream_is_no_silence_of_the_pulse() -> None:
+@pytest.mark.parametrize("gap_s", [0.3, 2.0, 4.0, 12.0])
+@pytest.mark.parametrize("rate_per_min", [45, 75])
+def test_after_a_gap_figures_begin_anew_and_no_alarm_is_raised(
+    gap_s: float, rate_per_min: int
+) -> None:
+    statistics, force_n = BeatStatistics(), pulse(40, heart_rate=f"{rate_per_min} /min")
+    before, after = list[BeatFigures](), list[BeatFigures]()
+    for first in range(0, len(force_n), 50):
+        at_s = first * 1e-3
+        if not 20.1 <= at_s < 20.1 + gap_s:
+            statistics.observe(samples(first * PERIOD_NS, force_n[first : first + 50]))
+            (before if at_s < 20.1 else after).append(statistics.figures())
+    assert not any(found.alarm for found in before + after)
+    assert before[-1].quality == after[-1].quality == pytest.approx(1.0, abs=0.02)
+    assert after[0] == BeatFigures(count=before[-1].count, doubtful=0.0, alarm=False)
+    assert after[-1].rate_per_min == pytest.approx(rate_per_min, rel=0.02)
+
+
+def test_gaps_that_come_faster_than_beats_are_found_raise_no_alarm() -> None:
+    statistics, force_n = BeatStatistics(), pulse(30)
+    for first in range(0, len(force_n), 50):
+        if first % 2_000 >= 150:
+            statistics.observe(samples(first * PERIOD_NS, force_n[first : first + 50]))
+        assert not statistics.figures().alarm
+
+
+def test_the_first_three_beats_have_no_quality() -> None:
     statistics = BeatStatistics()
-    end_ns = feed(statistics, pulse(20))
-    feed(statistics, pulse(4), end_ns + 20 * SECOND_NS)
-    assert not statistics.figures().alarm
+    feed(statistics, pulse(4.5))
+    found = statistics.figures()
+    assert found.count in (1, 2, 3)
+    assert found.quality is None
 
 
 def test_a_session_on_another_clock_begins_anew_and_the_counts_go_on() -> None:

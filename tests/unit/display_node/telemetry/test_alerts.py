@@ -90,6 +90,7 @@ ALERTS: list[tuple[str, Changes, dict[str, str]]] = [
         {"fault: guan: film: feedback lost": f"{CHECK_FILM}; finger: cun: withdrawn"},
     ),
     ("playing", notes(MISSED), {"film's sensor": "3 samples missing"}),
+    ("waiting", notes(Note(Part.RECORDER, "it is gone")), {"recorder": "it is gone"}),
     (
         "playing",
         notes(replace(MISSED, contactor="cun"), MISSED, Note(Part.SENSOR, "2 beyond 20 N")),

@@ -8,7 +8,7 @@ from protocol.summary.fields import Deadlines, Limited, Limits, Loop, SampleCoun
 from protocol.summary.figures import figures as summary_figures
 from telepulse.telemetry.events import REFUSALS
 from telepulse.view.live import LiveState
-from telepulse.view.text import FIGURES, age, alarms, figures, state
+from telepulse.view.text import ALARMS_UNKNOWN, FIGURES, age, alarms, calm, figures, state
 from telepulse.view.window_data import Scores, window_scores
 from tests.support.given_faults import FILM_LOST
 from tests.unit.display_node.telemetry.test_alerts import ALERTS, REFUSAL, REFUSED, waiting_for
@@ -38,6 +38,11 @@ def test_an_unknown_figure_is_a_dash() -> None:
     assert shown.keys() == FIGURES.keys()
     assert {figure.value for figure in shown.values()} == {"–"}
     assert state(live) == ("waiting", "no telemetry from a display yet")
+
+
+def test_no_alarm_is_shown_once_the_display_has_sent_its_state(display: SimulatedDisplay) -> None:
+    assert calm(LiveState()) == (False, ALARMS_UNKNOWN)
+    assert calm(display.live) == (True, "No alarm.")
 
 
 def test_force_and_delay_are_shown_while_the_pulse_is_felt(display: SimulatedDisplay) -> None:
@@ -159,8 +164,23 @@ def test_predicted_samples_are_no_loss_and_no_alarm(display: SimulatedDisplay) -
     counts = SampleCounts(sent=7000, played=6000, predicted=995, late=2, lost=3)
     display.status("playing", samples=asdict(counts))
     shown = figures(display.live, window_scores(display.live, SECOND_NS))
-    assert shown["loss"] == ("0.07 %", "3 samples lost, 2 late, 995 predicted in the run")
+    assert shown["loss"].note.endswith("the display started: 3 samples lost, 2 late, 995 predicted")
     assert names(display) == []
+
+
+def test_the_loss_is_of_the_window_and_its_counts_say_since_when() -> None:
+    display = SimulatedDisplay(LiveState())
+    display.go(6)
+    losing = {"samples": asdict(SampleCounts(6500, 6000, 0, 100, 400, 0))}
+    display.status("playing", **losing)
+    counts = "since the display started: 400 samples lost, 100 late, 0 predicted"
+    # In the last second, 1000 of 1500 samples were played.
+    for seconds, share in ((1, "33.33 %"), (60, "7.69 %")):
+        shown = figures(display.live, window_scores(display.live, seconds * SECOND_NS))
+        assert shown["loss"] == (share, f"of the last {seconds} s; {counts}")
+    display.go(3, samples=losing["samples"])
+    shown = figures(display.live, window_scores(display.live, SECOND_NS))
+    assert shown["loss"] == ("–", f"of the last 1 s; {counts}")
 
 
 @pytest.mark.parametrize("name", ["clock step", "missed"])
