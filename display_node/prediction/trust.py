@@ -69,6 +69,8 @@ FOLLOWS = CHOSEN_EVERY_NS / 5e9
 LEAST_CORRECTION, MOST_CORRECTION, AS_NONE = 0.6, 1.4, 0.01
 # Excess of the mean age in a second with a stall, in steps.
 STALLED = 2.0
+# Square of the least height of a pulse, in N².
+LEAST_N2 = 1e-12
 # Greatest reduction of E by trust: above 0.5 s the playout would jump instead of slewing.
 MOST_NS = 400_000_000
 # Ages beyond the longest horizon at the greatest reduction count alike.
@@ -89,9 +91,12 @@ class SampleAges:
     def add(self, now_ns: int, age_ns: int) -> None:
         """Count the age of the newest sample at a tick."""
         if self._last_ns is not None:
-            if now_ns // BLOCK_NS != self._number:
-                self._number = now_ns // BLOCK_NS
-                self._blocks[self._number % BLOCKS] = 0.0
+            number = now_ns // BLOCK_NS
+            if number != self._number:
+                # A pause has skipped some.
+                skipped = np.arange(max(self._number + 1, number - BLOCKS + 1), number + 1)
+                self._blocks[skipped % BLOCKS] = 0.0
+                self._number = number
             elapsed_ns, block = now_ns - self._last_ns, self._blocks[self._number % BLOCKS]
             # A path counts from the middle of the newest cell.
             steps = min(max((age_ns + CELL_NS // 2) / STEP_NS, 0.0), AGES - 1.001)
@@ -123,7 +128,7 @@ class SampleAges:
         return usual
 
     def _mean(self, ages: Floats) -> float:
-        return float(ages @ self._steps / ages.sum())
+        return float(ages @ self._steps) / max(float(ages.sum()), 1.0)
 
 
 class LeastError:
@@ -147,7 +152,7 @@ class LeastError:
         in_phase, noticed = np.zeros((2, min(most, AGES - 1) + 1))
         for each in expected:
             squares, shares = self._expect(usual, each.in_phase_n2, each.noticed, len(in_phase))
-            in_phase += squares / each.height_n**2
+            in_phase += squares / max(each.height_n**2, LEAST_N2)
             np.maximum(noticed, shares, out=noticed)
         # After a stall it is noticed at every E: then what is added by a smaller one counts.
         correction = self._correction
@@ -208,7 +213,7 @@ class KeptShape:
         square = np.zeros(HORIZONS + 2)
         square[-1] = WORST**2
         for each in expected:
-            shares = each.squares_n2 / each.height_n**2
+            shares = each.squares_n2 / max(each.height_n**2, LEAST_N2)
             np.maximum(square[1:-1], np.minimum(shares, WORST**2), out=square[1:-1])
         errors = lately @ square[self._horizons[:, : most + 1]] / lately.sum()
         rise_to, fall_to = (

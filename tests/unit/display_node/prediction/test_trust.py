@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from display_node.prediction.path_errors import BLENDED, DELAYS, ExpectedErrors
-from display_node.prediction.trust import HORIZONS, PulseSize, Trust
+from display_node.prediction.trust import HORIZONS, DelayChoice, PulseSize, Trust
 
 MS = 1_000_000
 REQUIRED_NS = 62 * MS
@@ -125,6 +125,20 @@ def test_expected_shares_are_corrected_by_those_that_are_felt() -> None:
                 trust.choose([expected], felt)
         chosen[felt] = e_ns / MS
     assert chosen[0.0] < chosen[0.02] - 3 < chosen[0.1] - 4
+
+
+@pytest.mark.parametrize("choice", ["auto", "shape"])
+def test_a_pulse_without_a_height_and_samples_without_an_age_are_no_error(
+    choice: DelayChoice,
+) -> None:
+    zero = ExpectedErrors(
+        np.zeros(HORIZONS), np.zeros((HORIZONS + 1, DELAYS)), np.zeros(HORIZONS + 1), 0.0
+    )
+    for age_ms in (-10, 0, 57):
+        trust = Trust(choice)
+        assert chosen_ms(trust, 0, 7000, zero, age_ms)[-1] == 0
+        # After a pause of the display.
+        assert chosen_ms(trust, 20_000, 21_000, zero, age_ms)[-1] == 0
 
 
 def test_e_is_reduced_by_400_ms_at_most() -> None:
