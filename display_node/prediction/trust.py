@@ -75,6 +75,7 @@ LEAST_N2 = 1e-12
 MOST_NS = 400_000_000
 # Ages beyond the longest horizon at the greatest reduction count alike.
 AGES = HORIZONS + MOST_NS // STEP_NS + 2
+OLDEST = AGES - 1.001
 DelayChoice = Literal["auto", "shape"]
 """How `compensation` chooses E."""
 
@@ -83,7 +84,9 @@ class SampleAges:
     """Times for which the newest sample had each age, in steps of 10 ms, shape (AGES,)."""
 
     def __init__(self) -> None:
+        # By block, of which the present one is a list: it is faster in each tick.
         self._blocks = np.zeros((BLOCKS, AGES))
+        self._block = [0.0] * AGES
         self._steps = np.arange(AGES, dtype=float)
         self._number = -1
         self._last_ns: int | None = None
@@ -93,23 +96,36 @@ class SampleAges:
         if self._last_ns is not None:
             number = now_ns // BLOCK_NS
             if number != self._number:
-                # A pause has skipped some.
-                skipped = np.arange(max(self._number + 1, number - BLOCKS + 1), number + 1)
-                self._blocks[skipped % BLOCKS] = 0.0
-                self._number = number
-            elapsed_ns, block = now_ns - self._last_ns, self._blocks[self._number % BLOCKS]
+                self._begin(number)
+            elapsed_ns, block = now_ns - self._last_ns, self._block
             # A path counts from the middle of the newest cell.
-            steps = min(max((age_ns + CELL_NS // 2) / STEP_NS, 0.0), AGES - 1.001)
+            steps = (age_ns + CELL_NS // 2) / STEP_NS
+            if steps < 0.0:
+                steps = 0.0
+            elif steps > OLDEST:
+                steps = OLDEST
             whole = int(steps)
-            block[whole] += (whole + 1 - steps) * elapsed_ns
-            block[whole + 1] += (steps - whole) * elapsed_ns
+            beyond = (steps - whole) * elapsed_ns
+            block[whole] += elapsed_ns - beyond
+            block[whole + 1] += beyond
         self._last_ns = now_ns
+
+    def _begin(self, number: int) -> None:
+        """Begin a block; a pause has skipped some."""
+        self._blocks[self._number % BLOCKS] = self._block
+        skipped = np.arange(max(self._number + 1, number - BLOCKS + 1), number + 1)
+        self._blocks[skipped % BLOCKS] = 0.0
+        self._number, self._block = number, [0.0] * AGES
+
+    def _counted(self) -> Floats:
+        """Return all blocks, in the order of time."""
+        self._blocks[self._number % BLOCKS] = self._block
+        return np.roll(self._blocks, -(self._number + 1) % BLOCKS, axis=0)
 
     @property
     def lately(self) -> Floats:
         """Ages of the last 1.5 s."""
-        newest = np.arange(self._number - LATELY_BLOCKS + 1, self._number + 1)
-        ages: Floats = self._blocks[newest % BLOCKS].sum(axis=0)
+        ages: Floats = self._counted()[-LATELY_BLOCKS:].sum(axis=0)
         return ages
 
     @property
@@ -118,7 +134,7 @@ class SampleAges:
 
         A stall is not what E is chosen for: no E that the link permits would cover it.
         """
-        blocks = np.roll(self._blocks, -(self._number + 1) % BLOCKS, axis=0)
+        blocks = self._counted()
         total: Floats = blocks.sum(axis=0)
         pairs = blocks[1:] + blocks[:-1]
         worst = pairs[(pairs @ self._steps).argmax()]
