@@ -21,7 +21,7 @@ from protocol.errors import SourceError
 from sensing_node.files.bounds import check_regular, check_samples
 from sensing_node.files.clock import time_of
 from sensing_node.files.columns import column_file
-from sensing_node.files.recording_plausibility import stated_rate_hz
+from sensing_node.files.recording_plausibility import UNIX_S
 from sensing_node.files.signals import Floats, SignalFile, rate_fault, text_encoding
 from sensing_node.files.text_head import read_titles, stated_rate
 from sensing_node.files.text_layout import (
@@ -41,8 +41,6 @@ MOST_CHARACTERS = 1 << 17
 ROWS_AT_ONCE = 10_000
 # In place of a cell that a row lacks.
 NO_CELL = "\0"
-# Unix times of 2001 to 2096 in s.
-UNIX_S = (1e9, 4e9)
 # A row, and the number of its line.
 _Row = tuple[int, list[str]]
 
@@ -151,10 +149,7 @@ def read(path: Path) -> SignalFile:
     numbers = [at for at, title in enumerate(titles) if table.holds_numbers(at, title)]
     times = [at for at, kind in enumerate(form.kinds) if kind == TIME]
     lengths = dict.fromkeys(numbers, len(table))
-    file = column_file(path, titles, lengths, table.column, times, place=table.place, notes=notes)
-    # Times in the table state the rate better than a line above it.
-    if not any(stated_rate_hz(file.load([at])[0]) for at in numbers):
-        file = replace(file, signals=tuple(s._replace(rate_hz=rate_hz) for s in file.signals))
+    file = column_file(path, titles, lengths, table.column, times, rate_hz, table.place, notes)
     return replace(file, values=table.checked_column)
 
 

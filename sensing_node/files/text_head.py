@@ -4,7 +4,8 @@ import re
 from collections.abc import Callable, Sequence
 
 from sensing_node.files.clock import are_times
-from sensing_node.files.signals import LEAST_HZ, MOST_HZ, UNITS, split_unit
+from sensing_node.files.recording_plausibility import LEAST_HZ, MOST_HZ
+from sensing_node.files.signals import UNITS, split_unit
 from sensing_node.files.text_layout import is_comment
 
 _NUMBER = re.compile(r"\d+(?:[.,]\d+)?(?:e[-+]?\d+)?", re.IGNORECASE)

@@ -34,17 +34,17 @@ def csv_file(path: Path, title: str) -> Path:
 )
 def test_times_are_found_by_their_title_or_since_they_rise(tmp_path: Path, title: str) -> None:
     path = csv_file(tmp_path / "a.csv", f"{title},ABP [mmHg]")
-    assert "plays ABP (mmHg)" in record_table(path)[1]
+    assert "plays ABP (mmHg, 250 Hz)" in record_table(path)[1]
     assert played(path).period_ns == 4_000_000
 
 
 def test_dates_are_times(tmp_path: Path) -> None:
-    # At 5 Hz, times without a unit would be taken as ms.
+    abp = pulse_and_ecg(200.0, 5)["ABP"]
     dates = [BEGIN + timedelta(milliseconds=200 * n) for n in range(1000)]
     index, column = tmp_path / "index.parquet", tmp_path / "column.parquet"
-    table = pyarrow.table({"ABP [mmHg]": ABP, "__index_level_0__": dates})
+    table = pyarrow.table({"ABP [mmHg]": abp, "__index_level_0__": dates})
     parquet.write_table(table, index)
-    parquet.write_table(pyarrow.table({"time": dates, "ABP [mmHg]": ABP}), column)
+    parquet.write_table(pyarrow.table({"time": dates, "ABP [mmHg]": abp}), column)
     for path in (index, column):
         source = played(path)
         assert (source.period_ns, source.warnings) == (200_000_000, [])
