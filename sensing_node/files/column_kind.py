@@ -32,8 +32,8 @@ LEAST_PERIODS, FEWEST = 2, 16
 # Least autocorrelation at a pulse's period, of which a stretch of n periods needs 1/n more; and its
 # height above the least one before it.
 LEAST_CORRELATION, LEAST_RISE = 0.35, 0.3
-# Rate below which a beat has few samples.
-COARSE_HZ = 20.0
+# Rate below which a beat has few samples, and the least correlation at one of several beats.
+COARSE_HZ, LEAST_OF_PART = 20.0, 0.2
 # Of several periods, the shortest that is nearly as strong.
 NEARLY = 0.8
 # Least changes of a value in a beat, and different values of a signal with a pulse.
@@ -159,7 +159,7 @@ def _period_s(values: NDArray[np.float64], rate_hz: float) -> float | None:
         return None
     changes = int(np.count_nonzero(np.diff(values[known])))
     level, seen_hz = steady(values, rate_hz)
-    for signal in (np.diff(level), level):
+    for signal in (level,) if seen_hz < COARSE_HZ else (np.diff(level), level):
         period_s = _repetition_s(signal, seen_hz)
         if period_s is not None:
             beats = len(values) / rate_hz / period_s
@@ -210,8 +210,8 @@ def _repetition_s(values: NDArray[np.float64], rate_hz: float) -> float | None:
     period = at + (0.5 * (before - after) / bend if bend else 0.0)
     if rate_hz < COARSE_HZ:
         # Few samples repeat after several beats only; the strongest rate is that of one.
-        most_beats = min(FASTEST_PER_MIN / 60 / rate_hz, 0.5) * period
-        beats = np.arange(1, 1 + max(1, int(most_beats)))
-        places = (2 * len(values) * beats / period).astype(int)
-        period /= beats[np.argmax(power[np.minimum(places, len(power) - 1)])]
+        beats = 1 + np.arange(max(1, int(FASTEST_PER_MIN / 60 * period / rate_hz)))
+        parts = (period / beats).astype(int)
+        beats = beats[(np.maximum(alike[parts], alike[parts + 1]) > LEAST_OF_PART) & (parts > 1)]
+        period /= beats[np.argmax(power[(2 * len(values) * beats / period).astype(int)])]
     return float(period / rate_hz)
