@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pulse_sensors.force_scale import FORCES
+from pulse_sensors.force_scale import FORCES, VOLTAGES
 
 TIME, COUNTER, STATUS, NUMBER, SIGNAL = "time", "counter", "status", "number", "signal"
 # Units of pressure, in Pa.
@@ -112,6 +112,16 @@ def rank(name: str, unit: str) -> float:
             if any(re.fullmatch(pattern, word) for word in words(part)):
                 return 0 if place == PRESSURE and unit in PRESSURES else place + more
     return PRESSURE if unit in PRESSURES else OTHER
+
+
+def conversion(unit: str, into: str) -> float | None:
+    """Return the factor from a unit into another one, or None."""
+    if unit == into:
+        return 1.0
+    for known in (FORCES, PRESSURES, VOLTAGES, SECONDS):
+        if unit in known and into in known:
+            return known[unit] / known[into]
+    return None
 
 
 def kind_of(name: str, unit: str, values: NDArray[Any]) -> str:

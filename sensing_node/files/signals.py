@@ -32,12 +32,20 @@ Floats = NDArray[np.float64]
 MOST_CHARACTERS = 1000
 # First bytes of a text, from which its encoding is recognised.
 FIRST_BYTES = 1 << 16
+_WORDS = {
+    "volts": "V",
+    "millivolts": "mV",
+    "microvolts": "uV",
+    "newtons": "N",
+    "millinewtons": "mN",
+}
 UNITS = re.compile(
-    r"[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|%|°?C|degC|bpm"
+    rf"{'|'.join(_WORDS)}|[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|%|°?C|degC|bpm"
     r"|1/min|k?Hz|m/s[2²]|deg|dps|k?ohm|[mµμun]?s|min",
     re.IGNORECASE,
 )
 _AFTER_SLASH = re.compile(r"(.*\S)\s*[/,]\s*(\S+)")
+_ENDS_WITH_UNIT = re.compile(r".*_(N|mN|mmHg|kPa|mV|uV)")
 _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
@@ -229,14 +237,22 @@ def text_encoding(path: Path) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return name and unit of a title: "ABP [mmHg]", "Force (mN)", "Kraft / mN"; or no unit.
+    """Return name and unit of a title: "ABP [mmHg]", "Force (mN)", "Kraft / mN", "force_N".
 
     A number in brackets, as in "data[0]", is no unit.
     """
     if (found := _NAMED_UNIT.fullmatch(name.strip())) and not found[2].isdecimal():
-        return found[1], found[2]
+        return found[1], unit_symbol(found[2])
+    if (found := _ENDS_WITH_UNIT.fullmatch(name.strip())) is not None:
+        return name, found[1]
     found = _AFTER_SLASH.fullmatch(name.strip())
-    return (found[1], found[2]) if found and UNITS.fullmatch(found[2]) else (name, "")
+    known = found and UNITS.fullmatch(found[2])
+    return (found[1], unit_symbol(found[2])) if found and known else (name, "")
+
+
+def unit_symbol(unit: str) -> str:
+    """Return the symbol of a unit that is a word, such as "Volts"; others as they are."""
+    return _WORDS.get(unit.lower(), unit)
 
 
 def aligned(signals: Sequence[SignalInfo], values: Sequence[Floats], rate_hz: float) -> Floats:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from sensing_node.files.clock import are_times
 from sensing_node.files.recording_plausibility import LEAST_HZ, MOST_HZ
@@ -60,7 +61,23 @@ def read_titles(lines: Sequence[str], split: Callable[[str], list[str]], width: 
         units = _fitted(rows.pop(), width) or units
     if rows and _fits(rows[-1], width) and (width > 1 or not is_comment(above[len(rows) - 1])):
         titles = _fitted(rows[-1], width) or titles
+    pairs = _pairs([_bare(line) for line in lines])
+    if 0 < len(pairs) <= width:
+        # A name above its unit, of each channel.
+        titles[-len(pairs) :], units[-len(pairs) :] = zip(*pairs, strict=True)
     return [_titled(title, unit) for title, unit in zip(titles, units, strict=True)]
+
+
+def _pairs(lines: Sequence[str]) -> list[tuple[str, str]]:
+    """Return each name that has its unit in the line below it."""
+    return [
+        (name, unit)
+        for name, unit in pairwise(lines)
+        if _is_unit(unit)
+        and not _is_unit(name)
+        and re.search(r"[^\W\d]", unit + name[:0])
+        and re.fullmatch(r"[^\W\d][^:=,;\t]*", name)
+    ]
 
 
 def are_units(cells: Sequence[str]) -> bool:
@@ -98,10 +115,13 @@ def _key_row(cells: list[str]) -> list[str]:
 
 
 def _fitted(cells: Sequence[str], width: int) -> list[str] | None:
-    """Return a cell for each column; one less may lack that of the times, the first column."""
-    if len(cells) not in (width, width - 1) or not any(cells):
+    """Return a cell for each column, or None.
+
+    One less may lack that of the times, the first column; one more has a name without a column.
+    """
+    if not width - 1 <= len(cells) <= width + 1 or not any(cells):
         return None
-    return [""] * (width - len(cells)) + [cell.strip(" '") for cell in cells]
+    return [""] * (width - len(cells)) + [cell.strip(" '") for cell in cells[:width]]
 
 
 def _fits(cells: Sequence[str], width: int) -> bool:
@@ -109,7 +129,7 @@ def _fits(cells: Sequence[str], width: int) -> bool:
     key = cells[0] if cells else "="
     words = [cell for cell in cells if cell and not _NUMBER.fullmatch(cell)]
     named = key[-1:] in ("=", ":") or _UNIT_NAMES.fullmatch(key)
-    return len(cells) == width and bool(words) and not named
+    return len(cells) in (width, width + 1) and bool(words) and not named
 
 
 def _is_unit(text: str) -> bool:

@@ -5,15 +5,18 @@ module's sniffer and pandas assume one form of numbers, and no lines above a tab
 """
 
 import csv
+import json
 import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.errors import SourceError
 from sensing_node.files.clock import time_of
+from sensing_node.files.signals import UNITS
 
 if TYPE_CHECKING:
     from _csv import Reader
@@ -23,6 +26,8 @@ NUMBER, TIME, TEXT, EMPTY = "number", "time", "text", "empty"
 # Tried in this order; of equals, the first is taken.
 LABELS = "labels"
 SEPARATORS = ("\t", ";", ",", "|", " ", LABELS)
+# Cell of a line with labels that the table lacks.
+OTHER_LABELS = "other labels"
 # Lines from which a layout is recognised, and lines of which one may be wrong.
 SAMPLE_LINES, FEW_LINES = 20, 8
 # Characters of a line or a cell in a refusal.
@@ -36,17 +41,18 @@ _GROUPED = {
 }
 _LABELLED = re.compile(
     r"[\"']?([^\W\d][\w .%/()\[\]-]*?)[\"']?\s*[=:]\s*([-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
-    r"(?:\s*([^\W\d]\w*)(?!\s*[=:\w]))?",
+    rf"(?:\s*({UNITS.pattern})(?!\s*[=:\w]))?",
     re.IGNORECASE,
 )
+_MEASURED = re.compile(rf"(.*\d[.,]?)\s*({UNITS.pattern})", re.IGNORECASE)
 
 
 class Layout(NamedTuple):
-    """Layout of lines: their separator, the mark before decimals, and labels beside numbers."""
+    """Layout of lines: their separator, the mark before decimals, and the labels beside numbers."""
 
     separator: str
     decimal: str
-    labelled: bool = False
+    labels: tuple[str, ...] = ()
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line; empty ones at its end are left out."""
@@ -63,17 +69,28 @@ class Layout(NamedTuple):
 
     def rows(self, lines: Iterable[str]) -> "Reader":
         """Return the rows of lines; one of an empty line is empty."""
-        if self.labelled:
-            labelled = ((line, labelled_numbers(line)) for line in lines)
-            lines = (";".join(n for _, n in pairs) if pairs else line for line, pairs in labelled)
+        if self.labels:
+            lines = map(self._unlabelled, lines)
         if self.separator == " ":
             # Of several spaces in a row, one separates.
             lines = (line.strip() for line in lines)
         return csv.reader(lines, delimiter=self.separator, skipinitialspace=self.separator in " ,")
 
+    def _unlabelled(self, line: str) -> str:
+        """Return the numbers of a line by label; one cell more for other labels."""
+        numbers = dict(labelled_numbers(line))
+        more = [OTHER_LABELS] if set(numbers) - set(self.labels) else []
+        found = [numbers.get(label, "") for label in self.labels]
+        return ";".join(found + more) if numbers else line
+
+    def measured(self, text: str) -> tuple[str, str]:
+        """Return the number of a cell, as it stands there, and its unit or nothing."""
+        found = _MEASURED.fullmatch(text.strip())
+        return (found[1], found[2]) if found else (text, "")
+
     def number(self, text: str) -> float | None:
         """Return the number in a cell, NaN in one of a missing sample; None for another text."""
-        plain = text.strip(" \t'\"\u00a0")
+        plain = self.measured(text)[0].strip(" \t'\"\u00a0")
         if _GROUPED[self.decimal].fullmatch(plain):
             plain = re.sub(rf"[^\d{self.decimal}+-]", "", plain)
         try:
@@ -114,15 +131,26 @@ def is_comment(line: str) -> bool:
 
 
 def labelled_numbers(line: str) -> list[tuple[str, str]]:
-    """Return labels and numbers of a line that has nothing else; the time before "->" is one."""
+    """Return labels and numbers of a line; the time before "->" is one."""
     found = [
         (f"{label} [{unit}]" if unit else label, number)
         for label, number, unit in _LABELLED.findall(line)
     ]
-    rest = _LABELLED.sub("", line).strip(" \t,;|{}[]\"'")
-    if rest.endswith("->"):
-        return [("time", rest.removesuffix("->").strip()), *found]
-    return [] if rest else found
+    time, arrow, _ = line.partition("->")
+    return [("time", time.strip()), *found] if found and arrow else found
+
+
+def _refuse_nested(line: str, path: Path) -> None:
+    """Refuse lines of JSON with several values in each. Raises SourceError."""
+    with suppress(ValueError, RecursionError):
+        content = json.loads(line)
+        held = content.items() if isinstance(content, dict) else ()
+        nested = [f"{k!r} of {len(v)}" for k, v in held if isinstance(v, list | dict) and len(v)]
+        if nested:
+            raise SourceError(
+                f"{path}: each line is JSON with lists or tables, {', '.join(nested)[:QUOTED]}:"
+                " write a row for each value, as pandas.json_normalize with record_path does"
+            )
 
 
 def recognise(lines: Sequence[str], path: Path) -> Form:
@@ -131,6 +159,7 @@ def recognise(lines: Sequence[str], path: Path) -> Form:
     if not plain:
         raise SourceError(f"{path}: holds no line of values")
     texts = [lines[at] for at in plain]
+    _refuse_nested(texts[len(texts) // 2], path)
     _, form = max((_tried(each, texts) for each in SEPARATORS), key=lambda tried: tried[0])
     first = _first_row([form.layout.row(line) for line in texts], form)
     if first is None:
@@ -148,10 +177,14 @@ def recognise(lines: Sequence[str], path: Path) -> Form:
 
 def _tried(separator: str, lines: Sequence[str]) -> tuple[tuple[float, ...], Form]:
     """Return how well a separator serves for lines, and the form that they have by it."""
-    layout = Layout(";" if separator == LABELS else separator, ".", separator == LABELS)
     # Of a few lines, a wrong one is not to weigh as much as the others.
     begin = len(lines) // (2 if len(lines) > FEW_LINES else 4)
-    rows = [layout.row(line) for line in lines[begin:][-SAMPLE_LINES:]]
+    sample = lines[begin:][-SAMPLE_LINES:]
+    layout = Layout(separator, ".")
+    if separator == LABELS:
+        labels = Counter(tuple(label for label, _ in labelled_numbers(line)) for line in sample)
+        layout = Layout(";", ".", labels.most_common(1)[0][0])
+    rows = [layout.row(line) for line in sample]
     layout = layout._replace(decimal=_decimal([cell for row in rows for cell in row], separator))
     counts = Counter(map(len, rows))
     width = max(counts, key=lambda each: (counts[each], each))
