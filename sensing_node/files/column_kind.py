@@ -81,7 +81,10 @@ def is_ecg(name: str) -> bool:
 
 def time_unit_s(name: str) -> float | None:
     """Return the unit in s that the name of a column of times states, or None."""
-    return SECONDS.get(words(name)[-1].replace("\u03bc", "u").replace("\u00b5", "u"))
+    known = [
+        SECONDS.get(word.replace("\u03bc", "u").replace("\u00b5", "u")) for word in words(name)
+    ]
+    return known[0] or known[-1]
 
 
 def field(name: str) -> str:

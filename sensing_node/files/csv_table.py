@@ -283,7 +283,7 @@ def _kinds_of_rows(
         else:
             small = len(known) <= MOST_CYCLE and set(known) <= set(range(MOST_KINDS))
             again = np.mean(values[len(known) :] == values[: -len(known)]) > 1 - MOST_ODD
-            if not (stated or (small and again and not named_kind(title))):
+            if not (stated or (small and again and not title)):
                 continue
             names = [f"{title or 'kind'} {value:g}" for value in known]
         return {name: values == value for name, value in zip(names, known, strict=True)}

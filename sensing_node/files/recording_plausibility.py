@@ -113,7 +113,8 @@ def unusable_values(values: NDArray[Any]) -> str | None:
 class Clock(NamedTuple):
     """The times of a file: name, gaps, and the rate in Hz by each unit in s that they may have.
 
-    named: it has the name or the unit of times. rounding: the usual step as a share of all.
+    named: it has the name or the unit of times. sure: its unit is stated, or is that of times since
+    1970. rounding: the usual step as a share of all.
     """
 
     name: str
@@ -121,6 +122,7 @@ class Clock(NamedTuple):
     rounding: float
     rates_hz: dict[float, float]
     named: bool
+    sure: bool
 
     def asks(self) -> str:
         """Return the units that are left, for people, and what decides."""
@@ -162,13 +164,14 @@ def _clocks(column: RecordedColumn) -> Iterator[Clock]:
         in_row = steps <= GAP_STEPS * usual
         # Further digits are rounding, and a signal of 250.00000000000003 Hz would be interpolated.
         step = float(f"{steps[in_row].mean():.12g}")
-        rates_hz = {unit: 1 / (step * unit) for unit in ([unit_s] if unit_s else UNITS_S)}
+        rates_hz, sure = {u: 1 / (step * u) for u in ([unit_s] if unit_s else UNITS_S)}, True
         if unit_s is None:
             usable = {u: hz for u, hz in rates_hz.items() if LEAST_HZ <= hz <= MOST_HZ}
             since = {u: hz for u, hz in usable.items() if UNIX_S[0] < times[0] * u < UNIX_S[1]}
-            rates_hz = since or usable
+            rates_hz, sure = (since, True) if len(since) == 1 else (usable, False)
         gaps = int(np.count_nonzero(~in_row))
-        yield Clock(name, gaps, usual / float(times[-1] - times[0]), rates_hz, named)
+        rounding = usual / float(times[-1] - times[0])
+        yield Clock(name, gaps, rounding, rates_hz, named, sure)
 
 
 def constant_column(column: RecordedColumn) -> str | None:

@@ -40,7 +40,7 @@ BEAT_N = 0.3
 A_LONG_TIME_S = 3600.0
 # Least correlation of channels of one pulse, and of those of one shape; the length in s in which it
 # is taken, and the most that another one is higher.
-ONE_PULSE, ONE_SHAPE, ONE_PULSE_S, MOST_HEIGHTS = 0.7, 0.95, 60.0, 2.0
+ONE_PULSE, ONE_SHAPE, ONE_PULSE_S, MOST_HEIGHTS = 0.7, 0.999, 60.0, 2.0
 # Length of a signal in s from which its shape is known.
 SHORTEST_S = 3.0
 # Colours of one sensor of light.

@@ -150,10 +150,10 @@ class SignalFile:
         known = [signal for signal in self.signals if signal.number == column.number]
         info = known[0] if known else SignalInfo(column.number, column.name)
         rates_hz = self.rates_hz(info, column, rate_hz)
-        if len(rates_hz) > 1:
+        clock = clock_of(column)
+        if clock is not None and not clock.sure and rate_hz is None and info.rate_hz is None:
             rates_hz = self._with_a_pulse(column, rates_hz)
         if len(rates_hz) != 1:
-            clock = clock_of(column)
             if clock is not None:
                 raise SourceError(f"{self.path}: {clock.asks()}")
             raise SourceError(

@@ -30,6 +30,7 @@ _TITLES = re.compile(
     re.IGNORECASE,
 )
 _UNIT_NAMES = re.compile(r"\W*(unit|einheit)(s|en)?([ _]?names?)?\W*", re.IGNORECASE)
+_UNIT_OF = re.compile(r"(.*\S)[ _]units?\s*[:=]\s*(\S+)", re.IGNORECASE)
 _LISTED = re.compile(r"[\"'](?:column|channel|label|name|title)s?[\"']\s*:\s*\[([^\[\]]*)\]")
 _OTHER_UNITS = re.compile(
     r"-|1|sample( interval)?s?|(hh:mm|mm:ss|yyyy|dd/)[a-z:./ -]*", re.IGNORECASE
@@ -47,7 +48,7 @@ def read_titles(lines: Sequence[str], split: Callable[[str], list[str]], width: 
         given = _fitted(cells, width)
         if given and _TITLES.fullmatch(key):
             titles = given
-        elif given and _UNIT_NAMES.fullmatch(key):
+        elif given and _UNIT_NAMES.fullmatch(key) and are_units(cells):
             units = given
         elif (listed := _LISTED.search(line)) is not None:
             found = [each.strip("\"' ") for each in listed[1].split(",")]
@@ -61,6 +62,11 @@ def read_titles(lines: Sequence[str], split: Callable[[str], list[str]], width: 
         units = _fitted(rows.pop(), width) or units
     if rows and _fits(rows[-1], width) and (width > 1 or not is_comment(above[len(rows) - 1])):
         titles = _fitted(rows[-1], width) or titles
+    for line in lines:
+        stated = _UNIT_OF.fullmatch(_bare(line).strip('"'))
+        for at, title in enumerate(titles):
+            if stated and UNITS.fullmatch(stated[2]) and title.lower() == stated[1].lower():
+                units[at] = stated[2]
     pairs = _pairs([_bare(line) for line in lines])
     if 0 < len(pairs) <= width:
         # A name above its unit, of each channel.
@@ -73,10 +79,7 @@ def _pairs(lines: Sequence[str]) -> list[tuple[str, str]]:
     return [
         (name, unit)
         for name, unit in pairwise(lines)
-        if _is_unit(unit)
-        and not _is_unit(name)
-        and re.search(r"[^\W\d]", unit + name[:0])
-        and re.fullmatch(r"[^\W\d][^:=,;\t]*", name)
+        if _is_unit(unit) and not _is_unit(name) and re.fullmatch(r"[^\W\d][^:=,;\t]*", name)
     ]
 
 
@@ -128,7 +131,7 @@ def _fits(cells: Sequence[str], width: int) -> bool:
     """Return whether a row may be that of the titles."""
     key = cells[0] if cells else "="
     words = [cell for cell in cells if cell and not _NUMBER.fullmatch(cell)]
-    named = key[-1:] in ("=", ":") or _UNIT_NAMES.fullmatch(key)
+    named = key[-1:] in ("=", ":") or (_UNIT_NAMES.fullmatch(key) and are_units(cells[1:]))
     return len(cells) in (width, width + 1) and bool(words) and not named
 
 

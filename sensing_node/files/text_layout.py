@@ -140,17 +140,26 @@ def labelled_numbers(line: str) -> list[tuple[str, str]]:
     return [("time", time.strip()), *found] if found and arrow else found
 
 
-def _refuse_nested(line: str, path: Path) -> None:
-    """Refuse lines of JSON with several values in each. Raises SourceError."""
+def _refuse_kinds(lines: Sequence[str], path: Path) -> None:
+    """Refuse lines of several kinds, or of several values each. Raises SourceError."""
+    kinds = Counter(", ".join(sorted(label for label, _ in labelled_numbers(x))) for x in lines)
     with suppress(ValueError, RecursionError):
-        content = json.loads(line)
-        held = content.items() if isinstance(content, dict) else ()
-        nested = [f"{k!r} of {len(v)}" for k, v in held if isinstance(v, list | dict) and len(v)]
+        rows = [row for row in map(json.loads, lines) if isinstance(row, dict)]
+        held = [pair for row in rows for pair in row.items()]
+        nested = {f"{k!r} of {len(v)}": 0 for k, v in held if isinstance(v, list | dict) and v}
         if nested:
             raise SourceError(
                 f"{path}: each line is JSON with lists or tables, {', '.join(nested)[:QUOTED]}:"
                 " write a row for each value, as pandas.json_normalize with record_path does"
             )
+        texts = Counter(f"{key} {value}" for key, value in held if isinstance(value, str))
+        repeated = {text: count for text, count in texts.items() if 1 < count < len(lines)}
+        kinds = Counter(repeated) if len(repeated) > 1 else kinds
+    if len(kinds) > 1 and "" not in kinds and min(kinds.values()) > 1:
+        listed = "; ".join(kinds)[: 2 * QUOTED]
+        raise SourceError(
+            f"{path}: has rows of several kinds: {listed}; keep one kind in a file of its own"
+        )
 
 
 def recognise(lines: Sequence[str], path: Path) -> Form:
@@ -159,7 +168,7 @@ def recognise(lines: Sequence[str], path: Path) -> Form:
     if not plain:
         raise SourceError(f"{path}: holds no line of values")
     texts = [lines[at] for at in plain]
-    _refuse_nested(texts[len(texts) // 2], path)
+    _refuse_kinds(texts[len(texts) // 4 :][-SAMPLE_LINES:], path)
     _, form = max((_tried(each, texts) for each in SEPARATORS), key=lambda tried: tried[0])
     first = _first_row([form.layout.row(line) for line in texts], form)
     if first is None:
@@ -201,7 +210,12 @@ def _score(form: Form, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> t
     title = lines[first - 1] if first else ""
     listed = layout.separator in title
     # A comma in numbers alone, and not between titles, is a decimal comma.
-    apart = not first or listed or ("," not in title if layout.decimal == "," else width == 1)
+    apart = (
+        bool(layout.labels)
+        or not first
+        or listed
+        or ("," not in title if layout.decimal == "," else width == 1)
+    )
     most_fit = 2 * fits >= len(rows)
     texts = form.kinds.count(TEXT)
     return most_fit, apart, fits, -texts, width, listed and layout.separator in "\t;|"
