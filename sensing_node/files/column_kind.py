@@ -38,6 +38,8 @@ COARSE_HZ, LEAST_OF_PART = 20.0, 0.2
 NEARLY = 0.8
 # Least changes of a value in a beat, and different values of a signal with a pulse.
 LEAST_CHANGES, LEAST_LEVELS = 3, 6
+# Rows from which two values are those of a status, and a value in one row of many is a number.
+LEAST_ROWS, FLAG_LEVELS, ONE_ROW_IN = 100, 2, 20
 # Share of the steps that are alike in a counter or a time.
 MOST_STEPS = 0.9
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[^\W\d_A-Z]+")
@@ -132,7 +134,13 @@ def kind_of(name: str, unit: str, values: NDArray[Any]) -> str:
     stated = named_kind(name)
     if stated is None and unit.lower() in ("bpm", "1/min", "degc", "°c"):
         stated = NUMBER
-    return stated or (COUNTER if counts(values) else SIGNAL)
+    if stated is not None or len(values) < LEAST_ROWS:
+        return stated or (COUNTER if counts(values) else SIGNAL)
+    known = np.asarray(values[: 1 << 16], np.float64)
+    known = known[np.isfinite(known)]
+    if len(known) < len(values[: 1 << 16]) / ONE_ROW_IN:
+        return NUMBER
+    return STATUS if len(np.unique(known)) <= FLAG_LEVELS else COUNTER if counts(known) else SIGNAL
 
 
 def counts(values: NDArray[Any]) -> bool:
