@@ -87,9 +87,10 @@ def choose_pulse(file: SignalFile, rate_hz: float | None = None) -> ChosenSignal
     rank have and are not channels of one pulse.
     """
     found = [_examined(file, signal, rate_hz) for signal in file.signals]
-    if len(found) == 1 and found[0].fault is not None:
-        # It is refused where it is played, with what to set.
-        return ChosenSignal(found[0].signal, "as the only signal")
+    # One column leaves nothing to choose; what cannot be played is refused where it would be.
+    alone = len(found) == 1 and len(file.titles) <= 1
+    if len(found) == 1 and found[0].pulse is None and (alone or found[0].fault is not None):
+        return ChosenSignal(found[0].signal, "as the only signal, though it has no steady pulse")
     pool = [each for each in found if each.pulse] or [each for each in found if each.short]
     least = min((each.rank for each in pool), default=0)
     best = [each for each in pool if each.rank == least]

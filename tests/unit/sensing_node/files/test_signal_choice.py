@@ -37,3 +37,12 @@ def test_two_signals_of_one_rank_are_refused_by_name(names: tuple[str, str]) -> 
         choose_pulse(file)
     assert all(f"{name} too short" in str(caught.value) for name in names)
     assert "--channel" in str(caught.value)
+
+
+def test_a_file_of_one_column_is_played_without_a_steady_pulse() -> None:
+    noise = np.random.default_rng(1).normal(size=5000)
+    file = SignalFile(Path("x"), (SignalInfo(0, "", "", 250.0),), lambda number: noise)
+    assert choose_pulse(file).reason == "as the only signal, though it has no steady pulse"
+    titled = SignalFile(Path("x"), file.signals, file.values, titles=("", "time"))
+    with pytest.raises(SourceError, match="holds no pulse: column 0 no pulse"):
+        choose_pulse(titled)
