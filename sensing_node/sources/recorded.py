@@ -43,8 +43,8 @@ class RecordingScene(SensitivityTable, SourceScene):
     """The `source` table of kind "recording".
 
     path: a file in any format of docs/howto/bring_your_recording.md, relative to the scene's
-    folder. column: name or number from 0 of a signal, column or array; by default, the first one
-    that is a pulse by its name or unit. columns: several of them; each is a channel with the
+    folder. column: name or number from 0 of a signal, column or array; by default, the one with
+    the shape of a pulse. columns: several of them; each is a channel with the
     column's name. announce: column of an ECG, in announce_unit, which becomes the channel
     "announce". rate, unit, announce_unit: by default those of the file. unit: N or mN are used
     unchanged. V or mV are converted by the film: by film_radius with eq 21, or by sensitivity, such
