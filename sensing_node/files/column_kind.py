@@ -65,10 +65,9 @@ PRESSURE, PPG, OTHER = 1, 2, 3
 
 
 class Pulse(NamedTuple):
-    """A pulse that was found: its rate, and the share of the record that has it."""
+    """A pulse that was found, with its rate."""
 
     per_min: float
-    share: float
 
 
 def words(name: str) -> list[str]:
@@ -170,7 +169,7 @@ def find_pulse(values: NDArray[Any], rate_hz: float) -> Pulse | None:
     periods = [period for period in found if period is not None]
     if 2 * len(periods) <= count:
         return None
-    return Pulse(60 / float(np.median(periods)), len(periods) / count)
+    return Pulse(60 / float(np.median(periods)))
 
 
 def _period_s(values: NDArray[np.float64], rate_hz: float) -> float | None:

@@ -181,8 +181,9 @@ def read(path: Path) -> SignalFile:
     lines = _lines(path)
     first = list(islice(lines, FIRST_LINES))
     form = recognise(first, path)
-    above, start = _above(first, form), form.start
-    titles, rate_hz = read_titles(above, form.layout.split, len(form.kinds)), stated_rate(above)
+    above, start = [line for line in first[: form.start] if line.strip()], form.start
+    titles = list(form.layout.labels) or read_titles(above, form.layout.split, len(form.kinds))
+    rate_hz = stated_rate(above)
     if not any(titles):
         tops = [form.layout.numbers(form.layout.split(line)) for line in first[start : start + 3]]
         if (stated_hz := _rate_of_wristband(tops)) is not None:
@@ -301,14 +302,6 @@ def _lines(path: Path) -> Iterator[str]:
                     " characters; a table of text has a row in each line"
                 )
             yield line.rstrip("\n")
-
-
-def _above(lines: Sequence[str], form: Form) -> list[str]:
-    """Return the lines above a table, and the labels of its first row as a line of titles."""
-    above = [line for line in lines[: form.start] if line.strip()]
-    if form.layout.labels:
-        above.append(";".join(form.layout.labels))
-    return above
 
 
 def _rate_of_wristband(rows: Sequence[Sequence[float | None]]) -> float | None:

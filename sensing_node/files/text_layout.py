@@ -44,6 +44,7 @@ _LABELLED = re.compile(
     rf"(?:\s*({UNITS.pattern})(?!\s*[=:\w]))?",
     re.IGNORECASE,
 )
+_LETTERED = re.compile(r"([A-Za-z])([-+]?\d+(?:\.\d+)?)")
 _MEASURED = re.compile(rf"(.*\d[.,]?)\s*({UNITS.pattern})", re.IGNORECASE)
 
 
@@ -136,6 +137,8 @@ def labelled_numbers(line: str) -> list[tuple[str, str]]:
         (f"{label} [{unit}]" if unit else label, number)
         for label, number, unit in _LABELLED.findall(line)
     ]
+    if (lettered := _LETTERED.fullmatch(line.strip())) is not None:
+        return [(lettered[1], lettered[2])]
     time, arrow, _ = line.partition("->")
     return [("time", time.strip()), *found] if found and arrow else found
 

@@ -139,6 +139,7 @@ PLAYED = {
         + rows(lambda n: f"{n * 5};acc;{n % 3}\n{n * 5};ppg;{v(n)}")),
     "text behind labels": ("ir", "", "MAX ready, version 2\n# fs: 200\n"
         + rows(lambda n: f"ir: {v(n)}\tbpm: 71{' (no contact)' if n % 99 == 50 else ''}")),
+    "a letter before each number": ("S", "", "# fs: 200\n" + rows(lambda n: f"S{v(n)}")),
     "a counter beside a rate": ("CH1", "", "Rate (S/s): 200\nrate: 200 Hz\nSequence,CH1\n"
         + rows(lambda n: f"{n * 10},{v(n)}")),
     "numbers of a monitor": ("ABP", "", "micros,HR,ABP_SYS,ABPMean,ABP,ppg_quality\n"
@@ -159,6 +160,7 @@ ASKED = {
     "rows of two widths": (["1000 of 4 cells"],
         rows(lambda n: f"{n * 5},{v(n)}\n{n * 5},1,2,{n % 7}")),
     "labels of two kinds": (["PPG; ACC"], rows(lambda n: f"PPG:{v(n)}\nACC:{n % 7}")),
+    "letters of two kinds": (["kinds: B; S"], rows(lambda n: f"B{n % 7}\nS{v(n)}")),
     "JSON of two kinds": (["type ppg", "type acc"],
         rows(lambda n: f'{{"v": {v(n)}, "type": "ppg"}}\n'
         f'{{"v": {n % 7}, "type": "acc"}}')),
