@@ -4,7 +4,6 @@ import io
 import logging
 import re
 import struct
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -32,9 +31,7 @@ def read(path: Path) -> SignalFile:
     _check_counts(data, path)
     # Its lines are for its developers; what is wrong with a file is found here.
     logging.getLogger("pyxdf").setLevel(logging.CRITICAL)
-    logging.getLogger("pyxdf.pyxdf").setLevel(logging.CRITICAL)
-    with redirect_stdout(io.StringIO()):
-        streams, _ = pyxdf.load_xdf(io.BytesIO(data))
+    streams, _ = pyxdf.load_xdf(io.BytesIO(data))
     starts = [float(each["time_stamps"][0]) for each in streams if len(each["time_stamps"])]
     begin_s = min(starts, default=0.0)
     signals, samples = list[SignalInfo](), list[Floats]()
