@@ -253,13 +253,15 @@ def _scales(table: TextTable, form: Form, path: Path) -> dict[int, Floats]:
     for at, texts in enumerate(table.texts):
         beside = [n for n in (at - 1, at + 1) if n in range(len(form.kinds))]
         beside = [n for n in beside if form.kinds[n] == NUMBER]
-        if not texts or not beside or not all(map(UNITS.fullmatch, texts)):
+        units = [text for text in texts if text.strip() not in ("", NO_CELL)]
+        if not units or not beside or not all(map(UNITS.fullmatch, units)):
             continue
-        first = table.units[beside[0]] = next(iter(texts))
-        factors = [conversion(unit, first) for unit in texts]
+        first = table.units[beside[0]] = units[0]
+        # A row without its unit is a missing sample.
+        factors = [conversion(text, first) if text in units else math.nan for text in texts]
         if None in factors:
             raise SourceError(
-                f"{path}: its rows change their unit: {', '.join(texts)[:QUOTED]}; keep one"
+                f"{path}: its rows change their unit: {', '.join(units)[:QUOTED]}; keep one"
             )
         scales[beside[0]] = np.array(factors, float)[table.column(at).astype(int)]
     return scales
@@ -280,7 +282,7 @@ def _kinds_of_rows(
             units = all(map(UNITS.fullmatch, texts))
             if not all(map(str.strip, texts)) or units or named_kind(title) == STATUS:
                 continue
-            names = texts
+            names = [texts[int(value)] for value in known]
         else:
             small = len(known) <= MOST_CYCLE and set(known) <= set(range(MOST_KINDS))
             again = np.mean(values[len(known) :] == values[: -len(known)]) > 1 - MOST_ODD

@@ -208,3 +208,21 @@ def test_a_last_line_that_breaks_off_is_left_out_and_named(tmp_path: Path) -> No
     source = RecordedSource(RecordingScene.model_validate(record_table(path)[0]), Path())
     (warning,) = source.warnings
     assert warning.endswith("line 1002, the last one, breaks off, and is left out")
+
+
+def test_rows_without_their_unit_are_missing_samples(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    unit = rows(lambda n: f"{t(n)},{v(n)},{'' if n == 7 else 'mN'}")
+    path.write_text("time (s),x,unit\n" + unit + "5.000,90.0", encoding="utf-8")
+    source = played(path)
+    assert [line.split(": ", 1)[1] for line in source.warnings] == [
+        'column 1 ("x"): 2 samples are missing (0.2 %) in 2 gaps, the longest of 0.005 s;'
+        " straight lines replace them",
+    ]
+
+
+def test_kinds_of_rows_end_where_the_last_row_breaks_off(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    kinds = rows(lambda n: f"ppg,{n * 5},{v(n)}\nacc,{n * 5},{n % 3}")
+    path.write_text("type,t_ms,x\n" + kinds + "pp", encoding="utf-8")
+    assert "plays ppg x (no unit, 200 Hz)" in record_table(path)[1]
