@@ -161,7 +161,7 @@ def find_pulse(values: NDArray[Any], rate_hz: float) -> Pulse | None:
     a beat, which numbers that a monitor holds do not.
     """
     length = min(len(values), round(STRETCH_S * rate_hz))
-    if length < FEWEST:
+    if length < max(FEWEST, LEAST_PERIODS * 60 / FASTEST_PER_MIN * rate_hz):
         return None
     count = min(MOST_STRETCHES, len(values) // length)
     begins = np.linspace(0, len(values) - length, count).astype(int)
@@ -232,6 +232,7 @@ def _repetition_s(values: NDArray[np.float64], rate_hz: float) -> float | None:
         # Few samples repeat after several beats only; the strongest rate is that of one.
         beats = 1 + np.arange(max(1, int(FASTEST_PER_MIN / 60 * period / rate_hz)))
         parts = (period / beats).astype(int)
-        beats = beats[(np.maximum(alike[parts], alike[parts + 1]) > LEAST_OF_PART) & (parts > 1)]
+        part = np.maximum(alike[parts], alike[parts + 1])
+        beats = beats[(beats == 1) | (part > LEAST_OF_PART) & (parts > 1)]
         period /= beats[np.argmax(power[(2 * len(values) * beats / period).astype(int)])]
     return float(period / rate_hz)

@@ -28,6 +28,7 @@ from sensing_node.files.signals import (
     UNITS,
     Floats,
     SignalFile,
+    finite,
     rate_fault,
     split_unit,
     text_encoding,
@@ -153,7 +154,7 @@ class TextTable:
 
     def column(self, at: int) -> Floats:
         """Return the values of a column."""
-        return np.frombuffer(self._values[at], np.float64)
+        return finite(np.frombuffer(self._values[at], np.float64))
 
     def check(self, at: int) -> None:
         """Refuse a column with a cell that is no number. Raises SourceError."""
@@ -308,7 +309,7 @@ def _lines(path: Path) -> Iterator[str]:
 
 def _rate_of_wristband(rows: Sequence[Sequence[float | None]]) -> float | None:
     """Return the rate in Hz in a second row, below a begin as a Unix time in s; or None."""
-    if len(rows) < 3 or any(len(set(row)) != 1 or None in row for row in rows[:2]):
+    if len(rows) < 3 or not rows[2] or any(len(set(row)) != 1 or None in row for row in rows[:2]):
         return None
     begin_s, rate_hz, value = (row[0] or 0.0 for row in rows)
     unix = UNIX_S[0] < begin_s < UNIX_S[1] and abs(value) < UNIX_S[0]

@@ -44,7 +44,7 @@ def read_titles(lines: Sequence[str], split: Callable[[str], list[str]], width: 
     """
     titles, units = [""] * width, [""] * width
     for line in lines:
-        key, *cells = _key_row(split(_bare(line)))
+        key, *cells = _key_row(split(_bare(line))) or [""]
         given = _fitted(cells, width)
         if given and _TITLES.fullmatch(key):
             titles = given
