@@ -51,8 +51,7 @@ def record(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Name or number of the signal. Default: the one with the shape of a"
-            " pulse.",
+            help="Name or number of the signal. Default: the one with the shape of a pulse.",
         ),
     ] = None,
     rate: Annotated[
