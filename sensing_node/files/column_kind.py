@@ -46,8 +46,8 @@ _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[^\W\d_A-Z]+")
 _TIME_NAME = re.compile(r"t($|[_\s(\[])", re.IGNORECASE)
 _KINDS = {
     COUNTER: r"\w*counter|\w*seq|sequence|index|idx|packets?|frames?",
-    TIME: r"\w*time|time\w*|\w*zeit|\w*stamp\w*|ts|(milli|micro|nano)s(ec\w*)?|[mun]?secs?"
-    r"|seconds|elapsed|dates?|datum|clock",
+    TIME: r"\w*time|time\w*|\w*zeit|zeitst\w*|\w*stamp\w*|ts|(milli|micro|nano)s(ec\w*)?"
+    r"|[mun]?secs?|seconds|elapsed|dates?|datum|clock",
     STATUS: r"status|state|flags?|quality|qual|sqi|valid|errors?|markers?|events?|trig\w*"
     r"|art[ei]fact\w*|alarms?|battery|mode|conf\w*|labels?|annot\w*|leadoff|button|beats?",
     NUMBER: r"\w*rate|hr|bpm|sp|sa|mean|map|mbp|sys\w*|dia|dias\w*|sbp|dbp|nibp|nbp|avg|average"
