@@ -49,8 +49,8 @@ RecordChannelOption = Annotated[
     typer.Option(
         "--channel",
         metavar="NAME",
-        help="Name or number of the signal of --source to play. Default: the first that is a"
-        " pulse by its name or unit.",
+        help="Name or number of the signal of --source to play. Default: the one with"
+        " the shape of a pulse.",
     ),
 ]
 RecordRateOption = Annotated[
@@ -58,7 +58,7 @@ RecordRateOption = Annotated[
     typer.Option(
         "--rate",
         metavar="'500 Hz'",
-        help="Rate of --source where the file states none, such as an .npy.",
+        help="Rate of --source; it overrides that of the file.",
     ),
 ]
 RecordPreloadOption = Annotated[

@@ -12,22 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-from sensing_node.files.recording_plausibility import GAP_STEPS, SECONDS, is_time_name
+from sensing_node.files.column_kind import SECONDS, TIME, named_kind
+from sensing_node.files.recording_plausibility import GAP_STEPS
 from sensing_node.files.signals import Floats
 
 # Greatest share of wrong time stamps, and most steps back, of a column of times.
 MOST_WRONG, MOST_STEPS_BACK = 0.01, 20
 FEW_WRONG = 2
 DAY_S = 86_400.0
-_UNITS = {*SECONDS, "sec", "secs", "second", "seconds", "msec", "µs", "μs", "usec", "min"}
 _ELAPSED = re.compile(r"(?:(\d+)[:h ])?(\d{1,3})[:m](\d{1,2}(?:[.,]\d+)?)s?")
 _DATE = re.compile(r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[T ,]+(\d{1,2}:\d\d(?::\d\d(?:[.,]\d+)?)?)")
 
 
 def are_times(name: str, unit: str) -> bool:
     """Return whether a column holds times by its name or its unit."""
-    named = is_time_name(name) or (not unit and name.lower() in {*_UNITS, "millis", "micros"})
-    return named or unit.lower() in _UNITS
+    return named_kind(name) == TIME or (unit or name).lower().replace("\u00b5", "u") in SECONDS
 
 
 def time_of(text: str) -> float | None:

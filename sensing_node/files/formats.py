@@ -29,7 +29,7 @@ class FileFormat(NamedTuple):
 
 
 FORMATS = (
-    FileFormat("CSV", (".csv", ".txt"), "csv_table"),
+    FileFormat("CSV", (".csv", ".txt", ".tsv", ".log"), "csv_table"),
     FileFormat("NumPy", (".npy", ".npz"), "numpy_arrays"),
     FileFormat("MATLAB", (".mat",), "matlab"),
     FileFormat("WFDB", (".hea", ".dat"), "wfdb_record"),

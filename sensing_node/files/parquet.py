@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from sensing_node.files.bounds import check_samples
+from sensing_node.files.column_kind import SECONDS
 from sensing_node.files.columns import column_file
-from sensing_node.files.recording_plausibility import SECONDS
 from sensing_node.files.signals import SignalFile, split_unit
 
 

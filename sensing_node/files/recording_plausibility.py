@@ -5,8 +5,7 @@ A recording is completely known when it is opened. The samples of a running sour
 """
 
 import math
-import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, Self
 
@@ -19,8 +18,8 @@ from pulse_sensors.sample_plausibility import (
     MOST_BELOW,
     MOST_N,
     NEGLIGIBLE_N,
-    RATE_TOLERANCE,
 )
+from sensing_node.files.column_kind import TIME, named_kind, time_unit_s
 
 # Smallest peak-to-peak force of a pulse, far below what a finger feels.
 LEAST_PULSE_N: Final = 1e-3
@@ -30,15 +29,14 @@ MOST_TOPMOST: Final = 0.02
 SMALLEST: Final = 1e-100
 # Least number of samples for a check: fewer may rise by chance, and are too few for a rate.
 FEW_SAMPLES: Final = 16
-# Range of the time between two samples.
-SHORTEST_S, LONGEST_S = 1e-7, 1e3
+# Limits of a rate in Hz that a file may state.
+LEAST_HZ, MOST_HZ = 1.0, 100_000.0
 # A longer step between two times than this multiple of the usual one is a gap.
 GAP_STEPS: Final = 5
-# Range of the rates of recorded pulses, which decides the unit of times that state none.
-USUAL_HZ = (10.0, 20_000.0)
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_UNIT = re.compile(r"(?:^|[\s_(\[,])(s|sec|seconds|min|ms|us|µs|ns)[)\]]?$", re.IGNORECASE)
-_TIME_NAME = re.compile(r"time|zeit|stamp|^t$|^t[_\s(\[]", re.IGNORECASE)
+# Greatest first value of times in s since 1970, and least one of the year 2001.
+UNIX_S = (1e9, 4e9)
+# Units of times that state none.
+UNITS_S = (1.0, 1e-3, 1e-6, 1e-9)
 # Values that are examined at once.
 BLOCK: Final = 1 << 16
 
@@ -112,30 +110,68 @@ def unusable_values(values: NDArray[Any]) -> str | None:
     return f"{count} beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
 
 
-def stated_rate_hz(column: RecordedColumn) -> float | None:
-    """Return the rate between the gaps of the file's own times, in Hz; None without times.
+class Clock(NamedTuple):
+    """The times of a file: name, gaps, and the rate in Hz by each unit in s that they may have.
 
-    Times in a column whose name has no unit are in the largest unit that gives a usual rate.
+    named: it has the name or the unit of times. sure: its unit is stated, or is that of times since
+    1970. rounding: the usual step as a share of all.
     """
-    for name, step, _, _ in _time_columns(column):
-        stated, units = _units(name)
-        for seconds in units:
-            if step * seconds and (stated or USUAL_HZ[0] <= 1 / (step * seconds) <= USUAL_HZ[1]):
-                return 1 / (step * seconds)
-    return None
+
+    name: str
+    gaps: int
+    rounding: float
+    rates_hz: dict[float, float]
+    named: bool
+    sure: bool
+
+    def asks(self) -> str:
+        """Return the units that are left, for people, and what decides."""
+        units = [(rate, unit) for unit, rate in self.rates_hz.items()]
+        text = " or ".join(f"{rate:.4g} Hz if in {_UNIT_NAMES[unit]}" for rate, unit in units)
+        return (
+            f'its times, column "{self.name}", state no unit: {text or "none is usual"};'
+            f" {_setting('rate', f'{units[0][0]:.4g} Hz' if units else '100 Hz')} decides"
+        )
 
 
-def _units(name: str) -> tuple[bool, Sequence[float]]:
-    """Return whether a column's name states the unit of its times; that unit, or all, in s."""
-    found = _UNIT.search(name)
-    if found is None:
-        return False, list(SECONDS.values())
-    return True, [(SECONDS | {"min": 60.0}).get(found[1].lower().replace("µ", "u"), 1.0)]
+_UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns", 60.0: "min"}
 
 
-def is_time_name(name: str) -> bool:
-    """Return whether a column's name is that of times."""
-    return _TIME_NAME.search(name) is not None
+def clock_of(column: RecordedColumn) -> Clock | None:
+    """Return the times of a column's file; None without any.
+
+    Whole numbers with even steps that have no name of times are a counter. Of several times, those
+    with the finest steps are taken.
+    """
+    clocks = list(_clocks(column))
+    return min(clocks, key=lambda each: (not each.named, each.rounding), default=None)
+
+
+def _clocks(column: RecordedColumn) -> Iterator[Clock]:
+    for name, times in column.rising.items():
+        steps = np.diff(times).astype(np.float64)
+        rises = steps[steps > 0]
+        if len(times) < FEW_SAMPLES or not len(rises):
+            continue
+        usual = float(np.median(rises))
+        unit_s = time_unit_s(name)
+        named = unit_s is not None or named_kind(name) == TIME
+        if not named:
+            low, high = np.quantile(steps, [0.1, 0.9])
+            even = np.ptp(rises) == 0 and float(usual).is_integer()
+            if not 0.5 * usual < low <= high < 2 * usual or even:
+                continue
+        in_row = steps <= GAP_STEPS * usual
+        # Further digits are rounding, and a signal of 250.00000000000003 Hz would be interpolated.
+        step = float(f"{steps[in_row].mean():.12g}")
+        rates_hz, sure = {u: 1 / (step * u) for u in ([unit_s] if unit_s else UNITS_S)}, True
+        if unit_s is None:
+            usable = {u: hz for u, hz in rates_hz.items() if LEAST_HZ <= hz <= MOST_HZ}
+            since = {u: hz for u, hz in usable.items() if UNIX_S[0] < times[0] * u < UNIX_S[1]}
+            rates_hz, sure = (since, True) if len(since) == 1 else (usable, False)
+        gaps = int(np.count_nonzero(~in_row))
+        rounding = usual / float(times[-1] - times[0])
+        yield Clock(name, gaps, rounding, rates_hz, named, sure)
 
 
 def constant_column(column: RecordedColumn) -> str | None:
@@ -173,7 +209,6 @@ def examine(
     column: RecordedColumn,
     forces: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     unit: str,
-    rate_hz: float,
     rest_n: float,
 ) -> tuple[str | None, list[str]]:
     """Examine a recording's forces, not all equal, with its file and its scene's keys.
@@ -181,7 +216,7 @@ def examine(
     forces: returns the forces in N of some of the column's values. Returns the reason why they
     cannot be a pulse, with advice; and what is doubtful in forces that are not refused.
     """
-    refusal = _refuse_times(column) or _refuse_rate(column, rate_hz)
+    refusal = _refuse_times(column)
     if refusal is None:
         found = ForceRange.of(map(forces, blocks(column.values)))
         refusal = _refuse_forces(found, unit, rest_n)
@@ -199,7 +234,7 @@ def _refuse_times(column: RecordedColumn) -> str | None:
     # Where fewer than half of the steps rise, the column has rounded times or a stepped force: then
     # its name decides.
     steps = np.diff(values)
-    if np.count_nonzero(steps) < len(steps) / 2 and not _TIME_NAME.search(column.name):
+    if np.count_nonzero(steps) < len(steps) / 2 and named_kind(column.name) != TIME:
         return None
     text = f"{column.title} never falls, so it is a time and not a pulse"
     for other in column.others:
@@ -208,61 +243,17 @@ def _refuse_times(column: RecordedColumn) -> str | None:
     return f"{text}; set column to the one with the force" if column.others else text
 
 
-def _refuse_rate(column: RecordedColumn, rate_hz: float) -> str | None:
-    """Return the contradiction of the file's own times to the scene's rate, or None.
-
-    If the name of a column does not state the unit, the one that fits best is assumed.
-    """
-    for name, step, _, rounding in _time_columns(column):
-        _, units = _units(name)
-        rates_hz = [1 / (step * s) for s in units if SHORTEST_S <= step * s <= LONGEST_S]
-        if not rates_hz:
-            continue
-        own_hz = min(rates_hz, key=lambda own: abs(math.log(own / rate_hz)))
-        # Rounded times, for example in whole seconds, determine the rate only within `rounding`.
-        if abs(own_hz / rate_hz - 1) <= RATE_TOLERANCE + rounding:
-            return None
-        return (
-            f'column "{name}" has {own_hz:.4g} samples a second, the scene\'s rate is'
-            f" {rate_hz:g} Hz; set {_setting('rate', f'{own_hz:.4g} Hz')}"
-        )
-    return None
-
-
 def _warn_of_gaps(column: RecordedColumn) -> Iterator[str]:
     yield from column.notes
-    for name, _, gaps, _ in _time_columns(column):
-        if gaps:
-            yield (
-                f'column "{name}" has {count_text(gaps, "gap")}; samples after a gap are played'
-                " right after those before it"
-            )
+    clock = clock_of(column)
+    if clock is not None and clock.gaps:
+        yield (
+            f'column "{clock.name}" has {count_text(clock.gaps, "gap")}; samples after a gap are'
+            " played right after those before it"
+        )
     for other in column.others:
-        if is_time_name(other) and other not in column.rising:
+        if named_kind(other) == TIME and other not in column.rising:
             yield f'column "{other}" has the name of times, and falls or is no number: not used'
-
-
-def _time_columns(column: RecordedColumn) -> Iterator[tuple[str, float, int, float]]:
-    """Yield the columns that are times by their name or their even steps.
-
-    Yields name, mean step without gaps, number of gaps, and the usual step as a share of the whole
-    time. Columns with steps of exactly 1 are left out, as they may number the samples.
-    """
-    for name, times in column.rising.items():
-        steps = np.diff(times).astype(np.float64)
-        rises = steps[steps > 0]
-        if len(times) < FEW_SAMPLES or not len(rises):
-            continue
-        usual = float(np.median(rises))
-        if not _TIME_NAME.search(name):
-            low, high = np.quantile(steps, [0.1, 0.9])
-            if not 0.5 * usual < low <= high < 2 * usual or np.all(steps == 1):
-                continue
-        in_row = steps <= GAP_STEPS * usual
-        gaps = int(np.count_nonzero(~in_row))
-        # Further digits are rounding, and a signal of 250.00000000000003 Hz would be interpolated.
-        step = float(f"{steps[in_row].mean():.12g}")
-        yield name, step, gaps, usual / (times[-1] - times[0])
 
 
 def _refuse_forces(found: ForceRange, unit: str, rest_n: float) -> str | None:

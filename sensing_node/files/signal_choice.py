@@ -1,10 +1,10 @@
 """Choice of the signals of a file that are played: its pulse, and the ECG that announces it.
 
-Also the scales to newtons that a file's unit stands for.
+The pulse is chosen by its shape; names and units order what has that shape. Where two are left, the
+choice is refused, with what was found of each.
 """
 
 import math
-import re
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,36 +14,37 @@ import numpy as np
 from protocol.config.quantities import parse_quantity
 from protocol.errors import SourceError
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS
-from sensing_node.files.formats import open_signals
-from sensing_node.files.recording_plausibility import (
-    SECONDS,
-    blocks,
-    extremes,
-    is_time_name,
-    never_falls,
+from sensing_node.files.column_kind import (
+    ANY_HZ,
+    FEWEST,
+    PPG,
+    PRESSURE,
+    PRESSURES,
+    SIGNAL,
+    Pulse,
+    find_pulse,
+    is_ecg,
+    kind_of,
+    rank,
+    steady,
+    words,
 )
-from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo
+from sensing_node.files.formats import open_signals
+from sensing_node.files.recording_plausibility import extremes
+from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo
 
-# Units of pressure, in Pa.
-PRESSURES = {"mmHg": 133.322, "cmH2O": 98.0665, "kPa": 1e3, "Pa": 1.0}
 # Force of a pressure: a contact of 56 mm², so that 40 mmHg, a usual pulse pressure, are 0.3 N.
 NEWTONS_PER_MMHG = 7.5e-3
 # Height of the median beat of a signal that is neither force nor pressure.
 BEAT_N = 0.3
-# Least share of the steps of a counter that are one, and its least span.
-COUNTING, LEAST_COUNT = 0.9, 3
 A_LONG_TIME_S = 3600.0
-TIMES, COUNTS = "has times", "counts"
-FIRST = "as the first signal; none is a pulse by its name or unit"
-# Names of pulses, and of the leads of an ECG, as PhysioNet's databases and others use them.
-_PULSE = re.compile(
-    r"\b(abp|art|ubp|pleth|ppg|bvp|force|pulse|radial|tono)(?!.*\brate\b)", re.IGNORECASE
-)
-_ECG = re.compile(
-    r"\b(ecg|ekg|fecg|mli{1,3}|mcl\d?|mv\d?|avr|avl|avf|i{1,3}|v\d?)\b", re.IGNORECASE
-)
-# Fields of a message's stamp, and its number.
-_STAMP = re.compile(r"n?secs?|nanosec|usec|stamp|seq|sequence|t_ns", re.IGNORECASE)
+# Least correlation of channels of one pulse, and of those of one shape; the length in s in which it
+# is taken, and the most that another one is higher.
+ONE_PULSE, ONE_SHAPE, ONE_PULSE_S, MOST_HEIGHTS = 0.7, 0.999, 60.0, 2.0
+# Length of a signal in s from which its shape is known.
+SHORTEST_S = 3.0
+# Colours of one sensor of light.
+COLOURS = {"ir", "red", "green", "infrared"}
 
 
 class ChosenSignal(NamedTuple):
@@ -53,69 +54,103 @@ class ChosenSignal(NamedTuple):
     reason: str
 
 
-def choose_pulse(file: SignalFile) -> ChosenSignal:
-    """Return the signal to play: a pulse by its name or unit, else the first one.
+class _Candidate(NamedTuple):
+    """Findings of a signal: its fault or None, its pulse, and samples without drift.
 
-    Clocks, counters and constant signals are not chosen where there is another one. Raises
-    SourceError where none can be a pulse.
+    short: its shape is not known. known_rate: the rate of its pulse is.
     """
-    order = [
-        # Of a message's topic, each of whose fields has it in its name, the field comes first.
-        *(
-            ChosenSignal(signal, "by its name")
-            for part in (_field, str)
-            for signal in file.signals
-            if _PULSE.search(part(signal.name).replace("_", " "))
-        ),
-        *(
-            ChosenSignal(s, f"by its unit, {s.unit}")
-            for s in file.signals
-            if s.unit in {**FORCES, **PRESSURES}
-        ),
-        *(ChosenSignal(signal, FIRST) for signal in file.signals),
-    ]
-    faults = {signal.number: _no_pulse(file, signal) for signal in file.signals}
-    for chosen in order:
-        if faults[chosen.signal.number] is None:
-            return chosen
-    for chosen in order:
-        # One that is constant or only rises is refused where it is played, with what to set.
-        fault = faults[chosen.signal.number]
-        if fault != TIMES and (fault != COUNTS or chosen.reason != FIRST):
-            return chosen
-    named = (f"{s.name or f'column {s.number}'} {faults[s.number]}" for s in file.signals)
-    raise SourceError(f"{file.path}: holds no pulse: {', '.join(named)[:300]}; name one: --channel")
+
+    signal: SignalInfo
+    fault: str | None
+    pulse: Pulse | None = None
+    known_rate: bool = False
+    short: bool = False
+    level: Floats = np.empty(0)
+
+    @property
+    def rank(self) -> float:
+        """See `column_kind.rank`."""
+        return rank(self.signal.name, self.signal.unit)
+
+    def text(self) -> str:
+        """Return the name and the findings, for people."""
+        found = "too short" if self.short else "no pulse"
+        if self.pulse is not None:
+            found = f"{self.pulse.per_min:.0f} /min" if self.known_rate else "periodic"
+        return f"{self.signal.name or f'column {self.signal.number}'} {self.fault or found}"
 
 
-def _no_pulse(file: SignalFile, signal: SignalInfo) -> str | None:
-    """Return the reason why a signal is no pulse, whatever its name; or None."""
-    field = _field(signal.name)
-    if is_time_name(field) or _STAMP.fullmatch(field) or signal.unit in SECONDS:
-        return TIMES
+def choose_pulse(file: SignalFile, rate_hz: float | None = None) -> ChosenSignal:
+    """Return the signal to play: the one with the shape of a pulse, of the first rank.
+
+    rate_hz: as an option states it. Raises SourceError where none has it, or where several of one
+    rank have and are not channels of one pulse.
+    """
+    found = [_examined(file, signal, rate_hz) for signal in file.signals]
+    # One column leaves nothing to choose; what cannot be played is refused where it would be.
+    alone = len(found) == 1 and len(file.titles) <= 1
+    if len(found) == 1 and found[0].pulse is None and (alone or found[0].fault is not None):
+        return ChosenSignal(found[0].signal, "as the only signal, though it has no steady pulse")
+    pool = [each for each in found if each.pulse] or [each for each in found if each.short]
+    least = min((each.rank for each in pool), default=0)
+    best = [each for each in pool if each.rank == least]
+    if least == PRESSURE:
+        # PPGs with the very same shape are channels of its pulse.
+        same = [each for each in pool if each.rank == PPG and _alike(best[0], each) > ONE_SHAPE]
+        best = [each for each in pool if each in best or each in same]
+    if not best or not all(_of_one_pulse(best[0], other) for other in best[1:]):
+        listed = ", ".join(each.text() for each in [*best, *(f for f in found if f not in best)])
+        fault = "has several signals that may be the pulse" if best else "holds no pulse"
+        raise SourceError(f"{file.path}: {fault}: {listed[:300]}; name one: --channel")
+    signal, pulse = best[0].signal, best[0].pulse
+    if pulse is None:
+        return ChosenSignal(signal, "by its name, unit or place, as it is too short for its shape")
+    return ChosenSignal(
+        signal, f"by its pulse, {pulse.per_min:.0f} /min" if best[0].known_rate else "by its shape"
+    )
+
+
+def _examined(file: SignalFile, signal: SignalInfo, rate_hz: float | None) -> _Candidate:
     try:
-        values = file.load((signal.number,))[0].values
+        column = file.load((signal.number,))[0]
+        rates_hz = file.rates_hz(signal, column, rate_hz)
     except SourceError:
         # The source that plays it has the reason.
-        return None
-    low, high = extremes(values)
+        return _Candidate(signal, None, short=True)
+    low, high = extremes(column.values)
     if not low < high:
-        return "is constant" if low == high else "holds no number"
-    if len(values) > 2 and never_falls(values):
-        return "only rises"
-    # A counter rises by one up to its highest number; a few of its numbers may be missing.
-    counted = np.mod(np.diff(next(blocks(values))), high - low + 1) == 1
-    return COUNTS if high - low >= LEAST_COUNT and counted.mean() > COUNTING else None
+        return _Candidate(signal, "is constant" if low == high else "holds no number")
+    if (kind := kind_of(signal.name, signal.unit, column.values)) != SIGNAL:
+        return _Candidate(signal, f"is a {kind}")
+    pulses = [(find_pulse(column.values, rate), rate) for rate in rates_hz or ANY_HZ]
+    seen = [(pulse, rate) for pulse, rate in pulses if pulse is not None]
+    pulse, rate = seen[0] if seen else (None, (rates_hz or ANY_HZ)[0])
+    short = not seen and len(column.values) < max(FEWEST, SHORTEST_S * min(rates_hz or (0,)))
+    values = column.values[: round(ONE_PULSE_S * rate)]
+    level = np.empty(0) if pulse is None else steady(values, rate)[0]
+    return _Candidate(signal, None, pulse, bool(rates_hz) and len(seen) == 1, short, level)
 
 
-def _field(name: str) -> str:
-    """Return the last part of a field's path, such as "force" of "/pulse.film.force"."""
-    return name.rpartition(".")[2] if name.startswith("/") else name
+def _of_one_pulse(one: _Candidate, other: _Candidate) -> bool:
+    """Return whether signals are channels of one pulse, of which the first is played."""
+    if all(COLOURS & set(words(each.signal.name)) for each in (one, other)):
+        return True
+    if one.pulse is None or _alike(one, other) < ONE_PULSE:
+        return False
+    higher = np.std(other.level) / np.std(one.level) > MOST_HEIGHTS
+    return one.rank != other.rank or not (higher and one.signal.unit == other.signal.unit)
+
+
+def _alike(one: _Candidate, other: _Candidate) -> float:
+    """Return the correlation of two signals of one rate and length; 0 for others."""
+    same = len(one.level) == len(other.level) > 0
+    return float(np.corrcoef(one.level, other.level)[0, 1]) if same else 0.0
 
 
 def choose_announcing(file: SignalFile, pulse: SignalInfo) -> SignalInfo | None:
     """Return the first ECG of a file besides the pulse, or None."""
     for signal in file.signals:
-        lead = signal.unit in MILLIVOLTS and _ECG.search(signal.name.replace("_", " "))
+        lead = signal.unit in MILLIVOLTS and is_ecg(signal.name)
         if lead and signal.number != pulse.number:
             return signal
     return None
@@ -126,12 +161,16 @@ def record_table(
 ) -> tuple[dict[str, Any], str]:
     """Return the table of a source that plays a record, and a line with what was chosen.
 
-    channel: name or number of the signal to play; None chooses. rate: that of a file which states
-    none, such as "500 Hz". Raises SourceError.
+    channel: name or number of the signal to play; None chooses. rate: that to play it at, such as
+    "500 Hz"; None takes that of the file. Raises SourceError.
     """
     file = open_signals(path)
+    rate_hz = None
+    with suppress(ValueError):
+        # A rate that is none is refused where the source is.
+        rate_hz = None if rate is None else parse_quantity(rate, "frequency")
     if channel is None:
-        chosen = choose_pulse(file)
+        chosen = choose_pulse(file, rate_hz)
     else:
         names = [signal.name for signal in file.signals]
         key: ColumnKey = int(channel) if channel.isdecimal() and channel not in names else channel
@@ -139,20 +178,20 @@ def record_table(
     pulse, announcing = chosen.signal, choose_announcing(file, chosen.signal)
     table: dict[str, Any] = {"kind": "recording", "path": str(path.absolute())}
     table["column"] = pulse.number
-    text = f"{path}: plays {_title(pulse)}, chosen {chosen.reason}; {_scale_text(pulse.unit)}"
-    with suppress(SourceError, ValueError):
+    lasts, others = "", []
+    with suppress(SourceError):
         # Without a usable rate, the source is refused.
         column = file.load((pulse.number,))[0]
-        info = file.describe(column, None if rate is None else parse_quantity(rate, "frequency"))
-        text += f"; it lasts {duration_text(len(column.values) / (info.rate_hz or math.nan))}"
+        pulse = file.describe(column, rate_hz)
+        lasts = f"; it lasts {duration_text(len(column.values) / (pulse.rate_hz or math.nan))}"
+    text = f"{path}: plays {_title(pulse)}, chosen {chosen.reason}; {_scale_text(pulse.unit)}"
+    text += lasts
     if announcing is not None:
         table["announce"] = announcing.number
         text += f"; the ECG {_title(announcing)} announces its beats"
-    others = [
-        each.name or str(each.number)
-        for each in file.signals
-        if each != pulse and _no_pulse(file, each) is None
-    ]
+    for each in file.signals:
+        if each.number != pulse.number and _examined(file, each, rate_hz).fault is None:
+            others.append(each.name or str(each.number))
     if others:
         text += f"; the file also has {', '.join(others)[:120]} (--channel)"
     return table, text

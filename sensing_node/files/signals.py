@@ -15,23 +15,37 @@ from pydantic import Field
 from protocol.errors import SourceError
 from protocol.wire.description import first_repeated
 from protocol.wire.marks import printable
-from sensing_node.files.recording_plausibility import RecordedColumn, blocks, stated_rate_hz
+from pulse_sensors.sample_plausibility import RATE_TOLERANCE
+from sensing_node.files.column_kind import find_pulse, named_kind
+from sensing_node.files.recording_plausibility import (
+    LEAST_HZ,
+    MOST_HZ,
+    RecordedColumn,
+    blocks,
+    clock_of,
+)
 
 ColumnKey = Annotated[int, Field(ge=0)] | str
 """Number of a signal from 0, or its name."""
 
 Floats = NDArray[np.float64]
-# Limits of a rate in Hz that a file may state.
-LEAST_HZ, MOST_HZ = 1.0, 100_000.0
 MOST_CHARACTERS = 1000
 # First bytes of a text, from which its encoding is recognised.
 FIRST_BYTES = 1 << 16
+_WORDS = {
+    "volts": "V",
+    "millivolts": "mV",
+    "microvolts": "uV",
+    "newtons": "N",
+    "millinewtons": "mN",
+}
 UNITS = re.compile(
-    r"[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|%|°?C|degC|bpm"
+    rf"{'|'.join(_WORDS)}|[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|%|°?C|degC|bpm"
     r"|1/min|k?Hz|m/s[2²]|deg|dps|k?ohm|[mµμun]?s|min",
     re.IGNORECASE,
 )
 _AFTER_SLASH = re.compile(r"(.*\S)\s*[/,]\s*(\S+)")
+_ENDS_WITH_UNIT = re.compile(r".*_(N|mN|mmHg|kPa|mV|uV)")
 _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 
 
@@ -130,21 +144,61 @@ class SignalFile:
     def describe(self, column: RecordedColumn, rate_hz: float | None = None) -> SignalInfo:
         """Return what is known of a loaded column, with its rate.
 
-        rate_hz: rate of a file that states none. Raises SourceError without a usable rate.
+        rate_hz: as an option states it; it wins. Raises SourceError without a usable rate, or where
+        several are possible.
         """
         known = [signal for signal in self.signals if signal.number == column.number]
         info = known[0] if known else SignalInfo(column.number, column.name)
-        if info.rate_hz is None:
-            info = info._replace(rate_hz=rate_hz or stated_rate_hz(column))
-        if info.rate_hz is None:
+        rates_hz = self.rates_hz(info, column, rate_hz)
+        clock = clock_of(column)
+        if clock is not None and not clock.sure and rate_hz is None and info.rate_hz is None:
+            rates_hz = self._with_a_pulse(column, rates_hz)
+        if len(rates_hz) != 1:
+            if clock is not None:
+                raise SourceError(f"{self.path}: {clock.asks()}")
             raise SourceError(
                 f"{self.path}: states no rate; add a column of times that never fall, or state the"
                 ' rate: --rate "500 Hz" beside --source, rate = "500 Hz" in a scene, or the array'
                 " rate_hz in an .npz"
             )
-        if (fault := rate_fault(info.rate_hz)) is not None:
+        if (fault := rate_fault(rates_hz[0])) is not None:
             raise SourceError(f"{self.path}: {column.title} {fault}")
-        return info
+        return info._replace(rate_hz=rates_hz[0])
+
+    def rates_hz(
+        self, info: SignalInfo, column: RecordedColumn, rate_hz: float | None = None
+    ) -> list[float]:
+        """Return the rates that a column may have; none where nothing states one.
+
+        An option wins, then a statement in the file, then its times. Raises SourceError where times
+        contradict a statement.
+        """
+        if rate_hz is not None:
+            return [rate_hz]
+        clock = clock_of(column)
+        stated_hz = info.rate_hz
+        if clock is None:
+            return [] if stated_hz is None else [stated_hz]
+        rates_hz = list(clock.rates_hz.values())
+        if stated_hz is None:
+            return rates_hz
+        near = any(abs(r / stated_hz - 1) <= RATE_TOLERANCE + clock.rounding for r in rates_hz)
+        if clock.named and not near and rates_hz:
+            own = " or ".join(f"{rate:.4g} Hz" for rate in rates_hz)
+            raise SourceError(
+                f"{self.path}: states {stated_hz:g} Hz, and its times, column"
+                f' "{clock.name}", are {own}; state the right one: --rate'
+            )
+        return [stated_hz]
+
+    def _with_a_pulse(self, column: RecordedColumn, rates_hz: Sequence[float]) -> list[float]:
+        """Return the rates at which a column has a pulse; if none, any other signal has."""
+        found = [rate for rate in rates_hz if find_pulse(column.values, rate)]
+        for signal in self.signals:
+            if not found and signal.number != column.number and not named_kind(signal.name):
+                values = self.values(signal.number)
+                found = [rate for rate in rates_hz if find_pulse(values, rate)]
+        return found
 
 
 def rate_fault(rate_hz: float | None) -> str | None:
@@ -183,14 +237,22 @@ def text_encoding(path: Path) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return name and unit of a title: "ABP [mmHg]", "Force (mN)", "Kraft / mN"; or no unit.
+    """Return name and unit of a title: "ABP [mmHg]", "Force (mN)", "Kraft / mN", "force_N".
 
     A number in brackets, as in "data[0]", is no unit.
     """
     if (found := _NAMED_UNIT.fullmatch(name.strip())) and not found[2].isdecimal():
-        return found[1], found[2]
+        return found[1], unit_symbol(found[2])
+    if (found := _ENDS_WITH_UNIT.fullmatch(name.strip())) is not None:
+        return name, found[1]
     found = _AFTER_SLASH.fullmatch(name.strip())
-    return (found[1], found[2]) if found and UNITS.fullmatch(found[2]) else (name, "")
+    known = found and UNITS.fullmatch(found[2])
+    return (found[1], unit_symbol(found[2])) if found and known else (name, "")
+
+
+def unit_symbol(unit: str) -> str:
+    """Return the symbol of a unit that is a word, such as "Volts"; others as they are."""
+    return _WORDS.get(unit.lower(), unit)
 
 
 def aligned(signals: Sequence[SignalInfo], values: Sequence[Floats], rate_hz: float) -> Floats:

@@ -2,9 +2,11 @@
 
 import re
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from sensing_node.files.clock import are_times
-from sensing_node.files.signals import LEAST_HZ, MOST_HZ, UNITS, split_unit
+from sensing_node.files.recording_plausibility import LEAST_HZ, MOST_HZ
+from sensing_node.files.signals import UNITS, split_unit
 from sensing_node.files.text_layout import is_comment
 
 _NUMBER = re.compile(r"\d+(?:[.,]\d+)?(?:e[-+]?\d+)?", re.IGNORECASE)
@@ -28,6 +30,7 @@ _TITLES = re.compile(
     re.IGNORECASE,
 )
 _UNIT_NAMES = re.compile(r"\W*(unit|einheit)(s|en)?([ _]?names?)?\W*", re.IGNORECASE)
+_UNIT_OF = re.compile(r"(.*\S)[ _]units?\s*[:=]\s*(\S+)", re.IGNORECASE)
 _LISTED = re.compile(r"[\"'](?:column|channel|label|name|title)s?[\"']\s*:\s*\[([^\[\]]*)\]")
 _OTHER_UNITS = re.compile(
     r"-|1|sample( interval)?s?|(hh:mm|mm:ss|yyyy|dd/)[a-z:./ -]*", re.IGNORECASE
@@ -41,11 +44,11 @@ def read_titles(lines: Sequence[str], split: Callable[[str], list[str]], width: 
     """
     titles, units = [""] * width, [""] * width
     for line in lines:
-        key, *cells = _key_row(split(_bare(line)))
+        key, *cells = _key_row(split(_bare(line))) or [""]
         given = _fitted(cells, width)
         if given and _TITLES.fullmatch(key):
             titles = given
-        elif given and _UNIT_NAMES.fullmatch(key):
+        elif given and _UNIT_NAMES.fullmatch(key) and are_units(cells):
             units = given
         elif (listed := _LISTED.search(line)) is not None:
             found = [each.strip("\"' ") for each in listed[1].split(",")]
@@ -59,7 +62,25 @@ def read_titles(lines: Sequence[str], split: Callable[[str], list[str]], width: 
         units = _fitted(rows.pop(), width) or units
     if rows and _fits(rows[-1], width) and (width > 1 or not is_comment(above[len(rows) - 1])):
         titles = _fitted(rows[-1], width) or titles
+    for line in lines:
+        stated = _UNIT_OF.fullmatch(_bare(line).strip('"'))
+        for at, title in enumerate(titles):
+            if stated and UNITS.fullmatch(stated[2]) and title.lower() == stated[1].lower():
+                units[at] = stated[2]
+    pairs = _pairs([_bare(line) for line in lines])
+    if 0 < len(pairs) <= width:
+        # A name above its unit, of each channel.
+        titles[-len(pairs) :], units[-len(pairs) :] = zip(*pairs, strict=True)
     return [_titled(title, unit) for title, unit in zip(titles, units, strict=True)]
+
+
+def _pairs(lines: Sequence[str]) -> list[tuple[str, str]]:
+    """Return each name that has its unit in the line below it."""
+    return [
+        (name, unit)
+        for name, unit in pairwise(lines)
+        if _is_unit(unit) and not _is_unit(name) and re.fullmatch(r"[^\W\d][^:=,;\t]*", name)
+    ]
 
 
 def are_units(cells: Sequence[str]) -> bool:
@@ -97,18 +118,21 @@ def _key_row(cells: list[str]) -> list[str]:
 
 
 def _fitted(cells: Sequence[str], width: int) -> list[str] | None:
-    """Return a cell for each column; one less may lack that of the times, the first column."""
-    if len(cells) not in (width, width - 1) or not any(cells):
+    """Return a cell for each column, or None.
+
+    One less may lack that of the times, the first column; one more has a name without a column.
+    """
+    if not width - 1 <= len(cells) <= width + 1 or not any(cells):
         return None
-    return [""] * (width - len(cells)) + [cell.strip(" '") for cell in cells]
+    return [""] * (width - len(cells)) + [cell.strip(" '") for cell in cells[:width]]
 
 
 def _fits(cells: Sequence[str], width: int) -> bool:
     """Return whether a row may be that of the titles."""
     key = cells[0] if cells else "="
     words = [cell for cell in cells if cell and not _NUMBER.fullmatch(cell)]
-    named = key[-1:] in ("=", ":") or _UNIT_NAMES.fullmatch(key)
-    return len(cells) == width and bool(words) and not named
+    named = key[-1:] in ("=", ":") or (_UNIT_NAMES.fullmatch(key) and are_units(cells[1:]))
+    return len(cells) in (width, width + 1) and bool(words) and not named
 
 
 def _is_unit(text: str) -> bool:

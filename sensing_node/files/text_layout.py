@@ -5,15 +5,18 @@ module's sniffer and pandas assume one form of numbers, and no lines above a tab
 """
 
 import csv
+import json
 import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.errors import SourceError
 from sensing_node.files.clock import time_of
+from sensing_node.files.signals import UNITS
 
 if TYPE_CHECKING:
     from _csv import Reader
@@ -23,6 +26,8 @@ NUMBER, TIME, TEXT, EMPTY = "number", "time", "text", "empty"
 # Tried in this order; of equals, the first is taken.
 LABELS = "labels"
 SEPARATORS = ("\t", ";", ",", "|", " ", LABELS)
+# Cell of a line with labels that the table lacks.
+OTHER_LABELS = "other labels"
 # Lines from which a layout is recognised, and lines of which one may be wrong.
 SAMPLE_LINES, FEW_LINES = 20, 8
 # Characters of a line or a cell in a refusal.
@@ -36,17 +41,19 @@ _GROUPED = {
 }
 _LABELLED = re.compile(
     r"[\"']?([^\W\d][\w .%/()\[\]-]*?)[\"']?\s*[=:]\s*([-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
-    r"(?:\s*([^\W\d]\w*)(?!\s*[=:\w]))?",
+    rf"(?:\s*({UNITS.pattern})(?!\s*[=:\w]))?",
     re.IGNORECASE,
 )
+_LETTERED = re.compile(r"([A-Za-z])([-+]?\d+(?:\.\d+)?)")
+_MEASURED = re.compile(rf"(.*\d[.,]?)\s*({UNITS.pattern})", re.IGNORECASE)
 
 
 class Layout(NamedTuple):
-    """Layout of lines: their separator, the mark before decimals, and labels beside numbers."""
+    """Layout of lines: their separator, the mark before decimals, and the labels beside numbers."""
 
     separator: str
     decimal: str
-    labelled: bool = False
+    labels: tuple[str, ...] = ()
 
     def split(self, line: str) -> list[str]:
         """Return the cells of a line; empty ones at its end are left out."""
@@ -63,17 +70,28 @@ class Layout(NamedTuple):
 
     def rows(self, lines: Iterable[str]) -> "Reader":
         """Return the rows of lines; one of an empty line is empty."""
-        if self.labelled:
-            labelled = ((line, labelled_numbers(line)) for line in lines)
-            lines = (";".join(n for _, n in pairs) if pairs else line for line, pairs in labelled)
+        if self.labels:
+            lines = map(self._unlabelled, lines)
         if self.separator == " ":
             # Of several spaces in a row, one separates.
             lines = (line.strip() for line in lines)
         return csv.reader(lines, delimiter=self.separator, skipinitialspace=self.separator in " ,")
 
+    def _unlabelled(self, line: str) -> str:
+        """Return the numbers of a line by label; one cell more for other labels."""
+        numbers = dict(labelled_numbers(line))
+        more = [OTHER_LABELS] if set(numbers) - set(self.labels) else []
+        found = [numbers.get(label, "") for label in self.labels]
+        return ";".join(found + more) if numbers else line
+
+    def measured(self, text: str) -> tuple[str, str]:
+        """Return the number of a cell, as it stands there, and its unit or nothing."""
+        found = _MEASURED.fullmatch(text.strip())
+        return (found[1], found[2]) if found else (text, "")
+
     def number(self, text: str) -> float | None:
         """Return the number in a cell, NaN in one of a missing sample; None for another text."""
-        plain = text.strip(" \t'\"\u00a0")
+        plain = self.measured(text)[0].strip(" \t'\"\u00a0")
         if _GROUPED[self.decimal].fullmatch(plain):
             plain = re.sub(rf"[^\d{self.decimal}+-]", "", plain)
         try:
@@ -114,15 +132,37 @@ def is_comment(line: str) -> bool:
 
 
 def labelled_numbers(line: str) -> list[tuple[str, str]]:
-    """Return labels and numbers of a line that has nothing else; the time before "->" is one."""
+    """Return labels and numbers of a line; the time before "->" is one."""
     found = [
         (f"{label} [{unit}]" if unit else label, number)
         for label, number, unit in _LABELLED.findall(line)
     ]
-    rest = _LABELLED.sub("", line).strip(" \t,;|{}[]\"'")
-    if rest.endswith("->"):
-        return [("time", rest.removesuffix("->").strip()), *found]
-    return [] if rest else found
+    if (lettered := _LETTERED.fullmatch(line.strip())) is not None:
+        return [(lettered[1], lettered[2])]
+    time, arrow, _ = line.partition("->")
+    return [("time", time.strip()), *found] if found and arrow else found
+
+
+def _refuse_kinds(lines: Sequence[str], path: Path) -> None:
+    """Refuse lines of several kinds, or of several values each. Raises SourceError."""
+    kinds = Counter(", ".join(sorted(label for label, _ in labelled_numbers(x))) for x in lines)
+    with suppress(ValueError, RecursionError):
+        rows = [row for row in map(json.loads, lines) if isinstance(row, dict)]
+        held = [pair for row in rows for pair in row.items()]
+        nested = {f"{k!r} of {len(v)}": 0 for k, v in held if isinstance(v, list | dict) and v}
+        if nested:
+            raise SourceError(
+                f"{path}: each line is JSON with lists or tables, {', '.join(nested)[:QUOTED]}:"
+                " write a row for each value, as pandas.json_normalize with record_path does"
+            )
+        texts = Counter(f"{key} {value}" for key, value in held if isinstance(value, str))
+        repeated = {text: count for text, count in texts.items() if 1 < count < len(lines)}
+        kinds = Counter(repeated) if len(repeated) > 1 else kinds
+    if len(kinds) > 1 and "" not in kinds and min(kinds.values()) > 1:
+        listed = "; ".join(kinds)[: 2 * QUOTED]
+        raise SourceError(
+            f"{path}: has rows of several kinds: {listed}; keep one kind in a file of its own"
+        )
 
 
 def recognise(lines: Sequence[str], path: Path) -> Form:
@@ -131,6 +171,7 @@ def recognise(lines: Sequence[str], path: Path) -> Form:
     if not plain:
         raise SourceError(f"{path}: holds no line of values")
     texts = [lines[at] for at in plain]
+    _refuse_kinds(texts[len(texts) // 4 :][-SAMPLE_LINES:], path)
     _, form = max((_tried(each, texts) for each in SEPARATORS), key=lambda tried: tried[0])
     first = _first_row([form.layout.row(line) for line in texts], form)
     if first is None:
@@ -148,10 +189,14 @@ def recognise(lines: Sequence[str], path: Path) -> Form:
 
 def _tried(separator: str, lines: Sequence[str]) -> tuple[tuple[float, ...], Form]:
     """Return how well a separator serves for lines, and the form that they have by it."""
-    layout = Layout(";" if separator == LABELS else separator, ".", separator == LABELS)
     # Of a few lines, a wrong one is not to weigh as much as the others.
     begin = len(lines) // (2 if len(lines) > FEW_LINES else 4)
-    rows = [layout.row(line) for line in lines[begin:][-SAMPLE_LINES:]]
+    sample = lines[begin:][-SAMPLE_LINES:]
+    layout = Layout(separator, ".")
+    if separator == LABELS:
+        labels = Counter(tuple(label for label, _ in labelled_numbers(line)) for line in sample)
+        layout = Layout(";", ".", labels.most_common(1)[0][0])
+    rows = [layout.row(line) for line in sample]
     layout = layout._replace(decimal=_decimal([cell for row in rows for cell in row], separator))
     counts = Counter(map(len, rows))
     width = max(counts, key=lambda each: (counts[each], each))
@@ -168,7 +213,12 @@ def _score(form: Form, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> t
     title = lines[first - 1] if first else ""
     listed = layout.separator in title
     # A comma in numbers alone, and not between titles, is a decimal comma.
-    apart = not first or listed or ("," not in title if layout.decimal == "," else width == 1)
+    apart = (
+        bool(layout.labels)
+        or not first
+        or listed
+        or ("," not in title if layout.decimal == "," else width == 1)
+    )
     most_fit = 2 * fits >= len(rows)
     texts = form.kinds.count(TEXT)
     return most_fit, apart, fits, -texts, width, listed and layout.separator in "\t;|"

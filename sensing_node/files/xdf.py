@@ -1,6 +1,7 @@
 """XDF files, as LabRecorder writes them of streams of LSL (https://github.com/sccn/xdf/wiki)."""
 
 import io
+import logging
 import re
 import struct
 from pathlib import Path
@@ -12,7 +13,7 @@ import pyxdf
 from protocol.errors import SourceError
 from sensing_node.files.bounds import read_whole
 from sensing_node.files.grids import evenly, unsteady
-from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo
+from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo, unit_symbol
 
 MAGIC = b"XDF:"
 STREAM_HEADER, SAMPLES = 2, 3
@@ -28,6 +29,8 @@ def read(path: Path) -> SignalFile:
     if data[:4] != MAGIC:
         raise SourceError(f"{path}: is no XDF file")
     _check_counts(data, path)
+    # Its lines are for its developers; what is wrong with a file is found here.
+    logging.getLogger("pyxdf").setLevel(logging.CRITICAL)
     streams, _ = pyxdf.load_xdf(io.BytesIO(data))
     starts = [float(each["time_stamps"][0]) for each in streams if len(each["time_stamps"])]
     begin_s = min(starts, default=0.0)
@@ -94,9 +97,8 @@ def _labels(stream: dict[str, Any], name: str) -> list[tuple[str, str]]:
         labels = []
     if len(labels) != count:
         labels = [("", "")] * count
-    units = {"microvolts": "uV", "millivolts": "mV", "volts": "V"}
     return [
-        (label or (name if count == 1 else f"{name} {number}"), units.get(unit, unit))
+        (label or (name if count == 1 else f"{name} {number}"), unit_symbol(unit))
         for number, (label, unit) in enumerate(labels)
     ]
 

@@ -1,6 +1,7 @@
 """A recording as a source: signals of a file in any known format, played once or in a loop."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -15,6 +16,7 @@ from protocol.wire.description import ANNOUNCE, PULSE, Channel, first_repeated
 from protocol.wire.messages import LARGEST_N
 from pulse_sensors.force_scale import FORCES, MILLIVOLTS, VOLTAGES, SensitivityTable
 from pulse_sensors.sample_plausibility import RATE_TOLERANCE, unit_contradiction
+from sensing_node.files.column_kind import PRESSURES
 from sensing_node.files.formats import open_signals
 from sensing_node.files.grids import fill_gaps, find_gaps
 from sensing_node.files.recording_plausibility import (
@@ -26,7 +28,7 @@ from sensing_node.files.recording_plausibility import (
     extremes,
     unusable_values,
 )
-from sensing_node.files.signal_choice import BEAT_N, NEWTONS_PER_MMHG, PRESSURES, choose_pulse
+from sensing_node.files.signal_choice import BEAT_N, NEWTONS_PER_MMHG, choose_pulse
 from sensing_node.files.signals import ColumnKey, SignalFile, SignalInfo, aligned
 from sensing_node.sources.source import SampleSource, SourceContext, SourceScene
 from sensing_node.sources.synthetic import SyntheticScene
@@ -41,8 +43,8 @@ class RecordingScene(SensitivityTable, SourceScene):
     """The `source` table of kind "recording".
 
     path: a file in any format of docs/howto/bring_your_recording.md, relative to the scene's
-    folder. column: name or number from 0 of a signal, column or array; by default, the first one
-    that is a pulse by its name or unit. columns: several of them; each is a channel with the
+    folder. column: name or number from 0 of a signal, column or array; by default, the one with
+    the shape of a pulse. columns: several of them; each is a channel with the
     column's name. announce: column of an ECG, in announce_unit, which becomes the channel
     "announce". rate, unit, announce_unit: by default those of the file. unit: N or mN are used
     unchanged. V or mV are converted by the film: by film_radius with eq 21, or by sensitivity, such
@@ -155,13 +157,15 @@ class RecordedSource(SampleSource):
         path = folder / scene.path
         file = open_signals(path)
         pulse_keys = scene.columns or (
-            choose_pulse(file).signal.number if scene.column is None else scene.column,
+            choose_pulse(file, scene.rate_hz).signal.number
+            if scene.column is None
+            else scene.column,
         )
         announcing = () if scene.announce is None else (scene.announce,)
         loaded = file.load((*pulse_keys, *announcing))
-        infos = [_info(file, column, scene.rate_hz) for column in loaded]
-        rate_hz = max(info.rate_hz or 0.0 for info in infos)
         self.warnings = [f"{path}: {note}" for note in file.notes]
+        infos = self._described(file, loaded, scene.rate_hz)
+        rate_hz = max(info.rate_hz or 0.0 for info in infos)
         loaded = self._on_one_grid(path, loaded, infos, rate_hz)
         pulses = loaded[: len(pulse_keys)]
         self._columns = list[tuple[NDArray[Any], Scale]]()
@@ -174,7 +178,7 @@ class RecordedSource(SampleSource):
             scale = scene.scale(column.values, unit, rate_hz)
             refusal, warnings = constant, list[str]()
             if constant is None:
-                refusal, warnings = examine(column, scale, unit, rate_hz, scene.rest_n(unit))
+                refusal, warnings = examine(column, scale, unit, scene.rest_n(unit))
             of_column = f"{column.title}: " if scene.columns else ""
             doubts = [
                 f"{path}: {text if text.startswith('column ') else of_column + text}"
@@ -195,6 +199,23 @@ class RecordedSource(SampleSource):
         self.period_ns = round(1e9 / rate_hz)
         if self._loop:
             self.repeats_after_s = len(self._columns[0][0]) / rate_hz
+
+    def _described(
+        self, file: SignalFile, loaded: list[RecordedColumn], rate_hz: float | None
+    ) -> list[SignalInfo]:
+        """Return what is known of columns, at a rate that overrides the first one's; warn of it."""
+        own_hz = None
+        with suppress(SourceError):
+            own_hz = file.describe(loaded[0]).rate_hz
+        if rate_hz is None or own_hz is None:
+            return [file.describe(column, rate_hz) for column in loaded]
+        if abs(rate_hz / own_hz - 1) > RATE_TOLERANCE:
+            self.warnings.append(
+                f"{file.path}: rate {rate_hz:g} Hz overrides the {own_hz:.4g} Hz of the file"
+            )
+        infos = [file.describe(column) for column in loaded]
+        scaled = [rate_hz * ((info.rate_hz or own_hz) / own_hz) for info in infos]
+        return [info._replace(rate_hz=each) for info, each in zip(infos, scaled, strict=True)]
 
     def _on_one_grid(
         self, path: Path, loaded: list[RecordedColumn], infos: list[SignalInfo], rate_hz: float
@@ -235,18 +256,6 @@ class RecordedSource(SampleSource):
     def notes(self) -> list[str]:
         """See `SampleSource.notes`."""
         return list(self.warnings)
-
-
-def _info(file: SignalFile, column: RecordedColumn, rate_hz: float | None) -> SignalInfo:
-    """Return what a file states of a column, with the rate to play it at. Raises SourceError."""
-    info = file.describe(column, rate_hz)
-    own_hz = info.rate_hz or 0.0
-    if rate_hz is not None and abs(own_hz / rate_hz - 1) > RATE_TOLERANCE:
-        raise SourceError(
-            f"{file.path}: {column.title} has {own_hz:.4g} samples a second, the scene's rate"
-            f" is {rate_hz:g} Hz; leave rate out"
-        )
-    return info
 
 
 def _announcing(column: RecordedColumn, unit: str, path: Path) -> Scale:

@@ -51,13 +51,12 @@ def record(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Name or number of the signal. Default: the first that is a pulse by its name or"
-            " unit.",
+            help="Name or number of the signal. Default: the one with the shape of a pulse.",
         ),
     ] = None,
     rate: Annotated[
         str | None,
-        typer.Option(metavar="'500 Hz'", help="Rate of a file that states none, such as an .npy."),
+        typer.Option(metavar="'500 Hz'", help="Rate to take in place of the file's."),
     ] = None,
     preload: Annotated[
         str | None,

@@ -70,7 +70,7 @@ def test_a_record_is_felt_by_one_command(tmp_path: Path) -> None:
         MODULE, "demo", "--source", str(path), "--seconds", "5", "--json", str(out), "--no-ui"
     )
     assert result.returncode == 0, result.stderr
-    assert "plays ABP (mmHg, 250 Hz), chosen by its name" in result.stderr
+    assert "plays ABP (mmHg, 250 Hz), chosen by its pulse" in result.stderr
     assert "the ECG II (mV, 250 Hz) announces its beats" in result.stderr
     assert "lasts 4 s, and the run 5 s: it is played 1.25 times" in result.stderr
     summary = read_json(out)

@@ -101,10 +101,15 @@ def test_names_that_could_control_a_terminal_are_cleaned(tmp_path: Path) -> None
     assert all(line.isprintable() for line in lines)
 
 
-def test_an_xdf_file_that_breaks_off_says_so(tmp_path: Path) -> None:
+def test_an_xdf_file_that_breaks_off_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    caplog.set_level("DEBUG")
     data = _xdf(tmp_path / "a.xdf", [1.0]).read_bytes()
     (tmp_path / "cut.xdf").write_bytes(data[: len(data) // 2])
     with pytest.raises(SourceError):
         open_signals(tmp_path / "cut.xdf")
     (tmp_path / "no_end.xdf").write_bytes(data[: data.rindex(b"<info><first_timestamp>") - 11])
     assert open_signals(tmp_path / "no_end.xdf").notes[0].endswith("no end: the file breaks off")
+    # The lines of the library do not reach the screen.
+    assert (caplog.records, tuple(capfd.readouterr())) == ([], ("", ""))

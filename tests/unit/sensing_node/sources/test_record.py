@@ -71,7 +71,7 @@ def test_a_table_states_its_rate_and_unit_by_its_titles(tmp_path: Path) -> None:
     rows = "".join(f"{n * 4},{v:.2f},\n" for n, v in enumerate(SIGNALS["ABP"]))
     path.write_text(f"t [ms],ABP [mmHg],note\n{rows}", encoding="utf-8")
     table, text = record_table(path)
-    assert "plays ABP (mmHg), chosen by its name" in text
+    assert "plays ABP (mmHg, 250 Hz), chosen by its pulse, 75 /min" in text
     played = source(path)
     assert played.period_ns == 4_000_000
     np.testing.assert_allclose(played.take(1000)[:, 0], 7.5e-3 * SIGNALS["ABP"], atol=1e-4)

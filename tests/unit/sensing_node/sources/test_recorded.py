@@ -202,7 +202,6 @@ def test_several_columns_are_channels_named_by_them(tmp_path: Path, kind: str) -
             {"announce": "II", "announce_unit": "V"},
             'announce: column 3 ("II") reaches 1e+07 mV in unit "V"',
         ),
-        ({}, {"rate": "200 Hz"}, 'column "time" has 100 samples a second'),
         ({"announce": FINGERS["cun"]}, {"columns": ["cun", "announce"]}, "columns: two channels"),
         ({"cun" * 99: FINGERS["cun"]}, {"columns": [1, 4]}, "columns: the name "),
     ],
