@@ -110,7 +110,7 @@ def unusable_values(values: NDArray[Any]) -> str | None:
     return f"{count} beyond {LARGEST:g}, the first is sample {bad[0]}; cut or fill them"
 
 
-class Clock(NamedTuple):
+class FileTimes(NamedTuple):
     """The times of a file: name, gaps, and the rate in Hz by each unit in s that they may have.
 
     named: it has the name or the unit of times. sure: its unit is stated, or is that of times since
@@ -137,7 +137,7 @@ class Clock(NamedTuple):
 _UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns", 60.0: "min"}
 
 
-def clock_of(column: RecordedColumn) -> Clock | None:
+def clock_of(column: RecordedColumn) -> FileTimes | None:
     """Return the times of a column's file; None without any.
 
     Whole numbers with even steps that have no name of times are a counter. Of several times, those
@@ -147,7 +147,7 @@ def clock_of(column: RecordedColumn) -> Clock | None:
     return min(clocks, key=lambda each: (not each.named, each.rounding), default=None)
 
 
-def _clocks(column: RecordedColumn) -> Iterator[Clock]:
+def _clocks(column: RecordedColumn) -> Iterator[FileTimes]:
     for name, times in column.rising.items():
         steps = np.diff(times).astype(np.float64)
         rises = steps[steps > 0]
@@ -171,7 +171,7 @@ def _clocks(column: RecordedColumn) -> Iterator[Clock]:
             rates_hz, sure = (since, True) if len(since) == 1 else (usable, False)
         gaps = int(np.count_nonzero(~in_row))
         rounding = usual / float(times[-1] - times[0])
-        yield Clock(name, gaps, rounding, rates_hz, named, sure)
+        yield FileTimes(name, gaps, rounding, rates_hz, named, sure)
 
 
 def constant_column(column: RecordedColumn) -> str | None:

@@ -13,7 +13,7 @@ from tests.support.refusals import refusal_of
 def test_a_condition_has_its_own_link_and_playout_and_direct_has_none(tmp_path: Path) -> None:
     found = plan(tmp_path, condition("a", compensation="20 ms"), condition("b", "delay=7ms"))
     assert found.direct.link == LinkScene()
-    assert found.direct.display.compensation_ns is None
+    assert found.direct.display.compensation_ns == "auto"
     assert found.impaired["a"].display.compensation_ns == 20_000_000
     assert found.impaired["b"].link.delay_ns == 7_000_000
     assert found.impaired["b"].display.controller == found.direct.display.controller
