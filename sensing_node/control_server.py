@@ -262,10 +262,16 @@ class ControlServer:
         if client.again_ns is None:
             client.again_ns = now_ns
         elif name and now_ns - client.again_ns >= TWINS_AFTER_NS:
+            again_ns, client.is_announced = client.again_ns, False
+            for other_sender in [k for k, other in self.clients.items() if other.name == name]:
+                other = self.clients[other_sender]
+                if other.seen_ns < again_ns:
+                    # It has sent nothing since: the display has gone back to its first connection.
+                    self._further[other_sender] = self.clients.pop(other_sender)
+                    client.is_announced |= other.is_announced
+                    continue
+                other.is_twin = client.is_twin = True
             self.clients[sender] = self._further.pop(sender)
-            client.is_announced = False
-            for other in self.clients.values():
-                other.is_twin |= other.name == name
         return client
 
     def _further_connection(self, sender: Sender, now_ns: int) -> Client:

@@ -197,6 +197,20 @@ def test_what_an_old_connection_of_a_forgotten_display_delivers_is_not_another_d
         server.clients.clear()
 
 
+def test_a_display_that_goes_back_to_its_first_connection_is_one_client(
+    server: ControlServer,
+) -> None:
+    ask(server, ANNA, HELLO)
+    ask(server, BERT, HELLO, NOW_NS + 250 * MS)
+    server.clients[BERT].is_announced = True
+    for now_ns in range(NOW_NS + 300 * MS, NOW_NS + FORGET_AFTER_NS + 2 * SECOND_NS, 100 * MS):
+        ask(server, ANNA, report() if now_ns % SECOND_NS == 0 else ClockRequest(now_ns), now_ns)
+        assert server.forget_silent(now_ns) == []
+    assert list(server.clients) == [ANNA]
+    assert not server.clients[ANNA].is_twin
+    assert server.clients[ANNA].is_announced
+
+
 def test_two_displays_of_one_name_are_two_clients(server: ControlServer) -> None:
     """They neither replace each other again and again, nor lose their reports."""
     appeared, kept = 0, set[Sender]()
