@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.benchmark import Benchmark
+from display_node.prediction.grid import STEP_NS as CELL_NS
 from display_node.prediction.path_errors import BLENDED
-from display_node.prediction.trust import CELL_NS, HORIZONS, STEP_NS
+from display_node.prediction.trust import HORIZONS, STEP_NS
 from protocol.config.scene_file import find_scene
 from protocol.tactile import JND
 from protocol.ticks import TickState
@@ -55,13 +56,12 @@ HALF_SPAN_STEPS: Final = 200
 
 
 class Played(NamedTuple):
-    """A pulse in N as sensed, from a recording's file, and as it was without noise.
+    """A pulse in N without noise, and the keys of the recording that is sensed.
 
-    file: recording in a known format; None for the scene's own pulse.
+    source: empty for the scene's own pulse.
     """
 
     name: str
-    file: Path | None
     source: Mapping[str, object]
     true_n: Floats
     rate_hz: float
@@ -281,7 +281,7 @@ def _heights_n(pulse: Played, at_s: Floats) -> Floats:
 def _scene(case: Case) -> Scene:
     radial = load_scene(find_scene(RADIAL), {"compensation": case.setting})
     scene = replace(radial, link=parse_link(LINKS[case.link]))
-    if case.pulse.file is None:
+    if not case.pulse.source:
         return scene
     source = RecordingScene.model_validate({"kind": "recording", **case.pulse.source})
     return replace(scene, sensing=scene.sensing.model_copy(update={"source": source}))
@@ -291,8 +291,8 @@ def _all_pulses(benchmark: Benchmark, folder: Path) -> Iterator[Played]:
     """Yield `radial`, the pulses of people, and the recordings of `--records`."""
     radial = load_scene(find_scene(RADIAL))
     samples = round(1_000 * (UNTIL_S + 1))
-    true_n = Simulation(radial, SEED).source.take(samples)[:, 0]
-    yield Played(RADIAL, None, {}, true_n, 1_000.0)
+    true_n = build_source(radial.sensing, radial.path.parent).take(samples)[:, 0]
+    yield Played(RADIAL, {}, true_n, 1_000.0)
     for number, pulse in enumerate(people_pulses(UNTIL_S + 2, SEED)):
         # Of a recording that is shorter, nothing is scored.
         if len(pulse.sensed) > UNTIL_S * pulse.rate_hz:
@@ -311,15 +311,13 @@ def _written(pulse: Pulse, path: Path) -> Played:
     )
     np.save(path, sensed_n)
     source = {"path": str(path), "rate": f"{pulse.rate_hz} Hz", "unit": "N", "repeat": "once"}
-    return Played(pulse.name, path, source, true_n, pulse.rate_hz)
+    return Played(pulse.name, source, true_n, pulse.rate_hz)
 
 
 def _recorded(path: Path) -> Played:
     """Read a recording as a scene does, with the height of its usual beat."""
     source = {"path": str(path)}
-    scene = _scene(Case(Played(path.stem, path, source, np.empty(0), 1.0), next(iter(LINKS)), AUTO))
+    scene = _scene(Case(Played(path.stem, source, np.empty(0), 1.0), next(iter(LINKS)), AUTO))
     pulse = build_source(scene.sensing, Path())
     rate_hz = 1e9 / pulse.period_ns
-    return Played(
-        path.stem, path, source, pulse.take(round(rate_hz * (UNTIL_S + 1)))[:, 0], rate_hz
-    )
+    return Played(path.stem, source, pulse.take(round(rate_hz * (UNTIL_S + 1)))[:, 0], rate_hz)

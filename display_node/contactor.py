@@ -61,8 +61,6 @@ class Contactor:
     sample_lead_ns
         Time by which the sample that is played is later than the played instant of the pulse: the
         group delay of the sensing chain, and the delay of the loop's actuation.
-    reach_ns
-        Time by which the last sample that the loop requires is later: to the end of its horizon.
     reserve_ns
         The delay that "auto" adds for the loop: to the sample after the end of its horizon.
     press
@@ -78,7 +76,7 @@ class Contactor:
         self.layer = scene.layer.layer()
         self.state = TickState()
         self.force_ratio = 1.0
-        self.sample_lead_ns = self.reach_ns = self.reserve_ns = 0
+        self.sample_lead_ns = self.reserve_ns = 0
         self.bounds = ForceBounds(scene.safety, scene.tick_ns)
         self.loop = scene.force_loop()
         self.tracking_error = TrackingError(self.layer.strain_per_newton) if score else None
@@ -121,8 +119,8 @@ class Contactor:
         self.force_ratio = matching_force_ratio(description.layer, self.layer)
         self._group_delay_ns = description.group_delay_ns
         self.sample_lead_ns = description.group_delay_ns + self.loop.actuation_delay_ns
-        self.reach_ns = self.sample_lead_ns + self.loop.horizon * self._tick_ns
-        self.reserve_ns = self.reach_ns + description.period_ns
+        horizon_ns = self.loop.horizon * self._tick_ns
+        self.reserve_ns = self.sample_lead_ns + horizon_ns + description.period_ns
         self._concealment = Concealment(predictor, self._tick_ns)
         self._unscored.clear()
         self._prediction_score.restart()

@@ -46,7 +46,7 @@ class Playout:
         self.trust = self._new_trust()
         self._groups: list[Group] = []
         # The largest of any contactor.
-        self._sample_lead_ns = self._reach_ns = self._reserve_ns = 0
+        self._sample_lead_ns = self._reserve_ns = 0
 
     def begin(self) -> None:
         """Begin a session, after the contactors have begun it."""
@@ -55,7 +55,6 @@ class Playout:
         self.trust = self._new_trust()
         self._groups = self._group()
         self._sample_lead_ns = max(contactor.sample_lead_ns for contactor in contactors)
-        self._reach_ns = max(contactor.reach_ns for contactor in contactors)
         self._reserve_ns = max(contactor.reserve_ns for contactor in contactors)
         if len(contactors) > 1:
             leads_ns = (contactor.sample_lead_ns for contactor in contactors)

@@ -29,6 +29,9 @@ WITHOUT_ERROR_ESTIMATE: tuple[PredictorName, ...] = ("hold", "linear")
 # Time over which a slope is measured, and for which it is continued; samples kept for it.
 WINDOW_NS, REACH_NS = 10_000_000, 20_000_000
 KEEP = 32
+# Time constant with which a correction is blended in, as a share of the horizon of the old
+# prediction: corrections of a longer prediction are larger, and may take longer.
+DECAY_OVER_HORIZON = 0.2
 
 
 class Predictor(Protocol):

@@ -6,16 +6,13 @@ Pure: samples and times are arguments.
 import math
 from typing import TYPE_CHECKING
 
-from display_node.prediction import Predictor
+from display_node.prediction import DECAY_OVER_HORIZON, Predictor
 from display_node.prediction.trust import PulseSize
 from protocol.wire.messages import ChannelSamples
 
 if TYPE_CHECKING:
     from display_node.prediction.path_errors import ExpectedErrors
 
-# Time constant of the decay, as a share of the horizon of the old prediction: corrections of a
-# longer prediction are larger, and may take longer.
-DECAY_OVER_HORIZON = 0.2
 NEGLIGIBLE_N = 1e-6
 
 

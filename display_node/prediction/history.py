@@ -17,16 +17,21 @@ HEIGHT: Final = 800
 NEVER: Final = -(1 << 62)
 
 
-@kernel(f"void({ROWS}, int64, int64, {TABLE})")
-def find_ranges(rows: NDArray[np.float32], end: int, count: int, ranges: Floats) -> None:
-    """Write the widened range of the newest `count` values of each channel, shape (2, channels)."""
+@kernel(f"void({ROWS}, int64, int64, float64, {TABLE})")
+def find_ranges(
+    rows: NDArray[np.float32], end: int, count: int, widened: float, ranges: Floats
+) -> None:
+    """Write the range of the newest `count` values of each channel, shape (2, channels).
+
+    widened: share of it by which it is widened on both sides.
+    """
     for channel in range(len(rows)):
         least = most = rows[channel, end - 1]
         for at in range(end - count, end):
             value = rows[channel, at]
             least = min(value, least)
             most = max(value, most)
-        margin = MARGIN * (float(most) - float(least))
+        margin = widened * (float(most) - float(least))
         ranges[0, channel], ranges[1, channel] = least - margin, most + margin
 
 
@@ -117,13 +122,13 @@ class History:
 
     def ranges(self, ranges: Floats) -> None:
         """Write the widened range of each channel's recent values, low and high."""
-        find_ranges(self.buffer, self.end, min(RECENT, self.count), ranges)
+        find_ranges(self.buffer, self.end, min(RECENT, self.count), MARGIN, ranges)
 
     def heights(self) -> Floats:
         """Return the height of each channel's pulse: the range of the last 4 s."""
         ranges = np.empty((2, self.channels))
-        find_ranges(self.buffer, self.end, min(HEIGHT, self.count), ranges)
-        heights: Floats = (ranges[1] - ranges[0]) / (1 + 2 * MARGIN)
+        find_ranges(self.buffer, self.end, min(HEIGHT, self.count), 0.0, ranges)
+        heights: Floats = ranges[1] - ranges[0]
         return heights
 
     def last(self, count: int) -> NDArray[np.float32]:

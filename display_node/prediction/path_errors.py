@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from display_node.prediction import DECAY_OVER_HORIZON
 from display_node.prediction.expert import HORIZONS, Floats
 from display_node.prediction.kernels import CUBE, FLOATS, TABLE, kernel
 from protocol.tactile import JND
@@ -15,9 +16,8 @@ DELAYS: Final = 26
 KEPT: Final = 64
 # Steps whose errors are kept, for those of the last beat: above the longest number of them.
 ERRORS: Final = 256
-# A correction of the prediction is blended in over a fifth of its horizon (`concealment.py`): what
-# is felt was predicted earlier by so much.
-BLENDED: Final = 1.2
+# What is felt was predicted earlier by the time over which a correction is blended in.
+BLENDED: Final = 1 + DECAY_OVER_HORIZON
 # Squared errors are expected by those of the last 20 s. The memory grows by a fifth of a step a
 # step, so that errors of the time before the predictor had learnt are soon forgotten.
 MEMORY_STEPS: Final = 2_000

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from display_node.prediction.grid import STEP_NS as CELL_NS
+
 if TYPE_CHECKING:
     from display_node.prediction.path_errors import ExpectedErrors
 
@@ -57,7 +59,6 @@ class PulseSize:
 # Distance of the delays that are compared, and of the horizons of the predictor's errors.
 STEP_NS = 10_000_000
 HORIZONS = 25
-CELL_NS = 5_000_000
 # E is chosen anew after this time; the playout follows it by 2.5 ms in it.
 CHOSEN_EVERY_NS = 50_000_000
 # Ages are counted by blocks of half a second: those of the last 1.5 s, or of 5 s without the worst.
@@ -81,7 +82,10 @@ DelayChoice = Literal["auto", "shape"]
 
 
 class SampleAges:
-    """Times for which the newest sample had each age, in steps of 10 ms, shape (AGES,)."""
+    """Times for which the newest sample had each age, in steps of 10 ms, shape (AGES,).
+
+    last_ns: time of the last tick; None before the first.
+    """
 
     def __init__(self) -> None:
         # By block, of which the present one is a list: it is faster in each tick.
@@ -89,15 +93,15 @@ class SampleAges:
         self._block = [0.0] * AGES
         self._steps = np.arange(AGES, dtype=float)
         self._number = -1
-        self._last_ns: int | None = None
+        self.last_ns: int | None = None
 
     def add(self, now_ns: int, age_ns: int) -> None:
         """Count the age of the newest sample at a tick."""
-        if self._last_ns is not None:
+        if self.last_ns is not None:
             number = now_ns // BLOCK_NS
             if number != self._number:
                 self._begin(number)
-            elapsed_ns, block = now_ns - self._last_ns, self._block
+            elapsed_ns, block = now_ns - self.last_ns, self._block
             # A path counts from the middle of the newest cell.
             steps = (age_ns + CELL_NS // 2) / STEP_NS
             if steps < 0.0:
@@ -108,7 +112,7 @@ class SampleAges:
             beyond = (steps - whole) * elapsed_ns
             block[whole] += elapsed_ns - beyond
             block[whole + 1] += beyond
-        self._last_ns = now_ns
+        self.last_ns = now_ns
 
     def _begin(self, number: int) -> None:
         """Begin a block; a pause has skipped some."""
@@ -258,7 +262,6 @@ class Trust:
     def __init__(self, choice: DelayChoice = "auto", noticed_target: float = 0.02) -> None:
         self._choice = LeastError(noticed_target) if choice == "auto" else KeptShape()
         self._ages = SampleAges()
-        self._last_ns: int | None = None
         self._next_ns = self._required_ns = 0
         self._steps: float = AGES
         self.given = False
@@ -269,15 +272,16 @@ class Trust:
         required_ns: delay that the link requires without prediction.
         """
         self._ages.add(now_ns, age_ns)
-        self._last_ns, self._required_ns = now_ns, required_ns
+        self._required_ns = required_ns
         if not self.given:
             return required_ns
         return max(min(round(self._steps * STEP_NS), required_ns), required_ns - MOST_NS)
 
     @property
     def due(self) -> bool:
-        """Whether to call `choose`: it is time for the next choice."""
-        return self._last_ns is not None and self._last_ns >= self._next_ns
+        """True from the time on at which `choose` is to be called again."""
+        last_ns = self._ages.last_ns
+        return last_ns is not None and last_ns >= self._next_ns
 
     def choose(
         self, expected: "Sequence[ExpectedErrors | None]", noticed: float | None = None
@@ -288,7 +292,7 @@ class Trust:
         share of the last 5 s in which an error of it was felt, the greatest of any contactor; None
         where it is unknown.
         """
-        self._next_ns = (self._last_ns or 0) + CHOSEN_EVERY_NS
+        self._next_ns = (self._ages.last_ns or 0) + CHOSEN_EVERY_NS
         # At least one step: the few milliseconds of a local network are predicted as well.
         most = max(self._required_ns // STEP_NS, 1)
         known = [each for each in expected if each is not None]
