@@ -247,12 +247,17 @@ class ControlServer:
             if replaced.is_twin and now_ns - replaced.seen_ns < TWINS_AFTER_NS:
                 has_twin = True
                 continue
-            del self.clients[sender]
-            is_announced |= replaced.is_announced
-            replaced.is_twin, replaced.again_ns = False, None
-            if self._size < MAX_CLIENTS - 1:
-                self._further[sender] = replaced
+            is_announced |= self._make_further(sender)
+            if self._size >= MAX_CLIENTS:
+                # The display that replaces it needs the room.
+                del self._further[sender]
         return has_twin, is_announced
+
+    def _make_further(self, sender: Sender) -> bool:
+        """Take a display for the old connection of another; return whether it was announced."""
+        client = self._further[sender] = self.clients.pop(sender)
+        client.is_twin, client.again_ns = False, None
+        return client.is_announced
 
     def _replaced_connection(
         self, sender: Sender, client: Client, name: str, now_ns: int
@@ -267,10 +272,9 @@ class ControlServer:
                 other = self.clients[other_sender]
                 if other.seen_ns < again_ns:
                     # It has sent nothing since: the display has gone back to its first connection.
-                    self._further[other_sender] = self.clients.pop(other_sender)
-                    client.is_announced |= other.is_announced
-                    continue
-                other.is_twin = client.is_twin = True
+                    client.is_announced |= self._make_further(other_sender)
+                else:
+                    other.is_twin = client.is_twin = True
             self.clients[sender] = self._further.pop(sender)
         return client
 

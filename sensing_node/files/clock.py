@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.config.quantities import count_text
-from sensing_node.files.column_kind import SECONDS, TIME, named_kind
+from sensing_node.files.column_kind import TIME, named_kind, seconds_of
 from sensing_node.files.recording_plausibility import GAP_STEPS
 from sensing_node.files.signals import Floats
 
@@ -26,7 +26,7 @@ _DATE = re.compile(r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[T ,]+(\d{1,2}:\d\d(?::\d
 
 def are_times(name: str, unit: str) -> bool:
     """Return whether a column holds times by its name or its unit."""
-    return named_kind(name) == TIME or (unit or name).lower().replace("\u00b5", "u") in SECONDS
+    return named_kind(name) == TIME or seconds_of(unit or name) is not None
 
 
 def time_of(text: str) -> float | None:

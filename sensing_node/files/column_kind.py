@@ -82,10 +82,13 @@ def is_ecg(name: str) -> bool:
 
 def time_unit_s(name: str) -> float | None:
     """Return the unit in s that the name of a column of times states, or None."""
-    known = [
-        SECONDS.get(word.replace("\u03bc", "u").replace("\u00b5", "u")) for word in words(name)
-    ]
+    known = list(map(seconds_of, words(name)))
     return known[0] or known[-1]
+
+
+def seconds_of(unit: str) -> float | None:
+    """Return a unit of times in s, or None; a micro may be either of its two characters."""
+    return SECONDS.get(unit.lower().replace("\u03bc", "u").replace("\u00b5", "u"))
 
 
 def field(name: str) -> str:

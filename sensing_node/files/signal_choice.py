@@ -110,24 +110,38 @@ def choose_pulse(file: SignalFile, rate_hz: float | None = None) -> ChosenSignal
     )
 
 
-def _examined(file: SignalFile, signal: SignalInfo, rate_hz: float | None) -> _Candidate:
+def _opened(
+    file: SignalFile, signal: SignalInfo, rate_hz: float | None
+) -> tuple[Floats, list[float], str | None] | None:
+    """Return values, rates and the fault of a signal, or None where it cannot be played."""
     try:
         column = file.load((signal.number,))[0]
         rates_hz = file.rates_hz(signal, column, rate_hz)
     except SourceError:
         # The source that plays it has the reason.
-        return _Candidate(signal, None, short=True)
+        return None
+    fault = None
     low, high = extremes(column.values)
     if not low < high:
-        return _Candidate(signal, "is constant" if low == high else "holds no number")
-    if (kind := kind_of(signal.name, signal.unit, column.values)) != SIGNAL:
-        return _Candidate(signal, f"is a {kind}")
-    pulses = [(find_pulse(column.values, rate), rate) for rate in rates_hz or ANY_HZ]
+        fault = "is constant" if low == high else "holds no number"
+    elif (kind := kind_of(signal.name, signal.unit, column.values)) != SIGNAL:
+        fault = f"is a {kind}"
+    return column.values, rates_hz, fault
+
+
+def _examined(file: SignalFile, signal: SignalInfo, rate_hz: float | None) -> _Candidate:
+    opened = _opened(file, signal, rate_hz)
+    if opened is None:
+        return _Candidate(signal, None, short=True)
+    values, rates_hz, fault = opened
+    if fault is not None:
+        return _Candidate(signal, fault)
+    pulses = [(find_pulse(values, rate), rate) for rate in rates_hz or ANY_HZ]
     seen = [(pulse, rate) for pulse, rate in pulses if pulse is not None]
     pulse, rate = seen[0] if seen else (None, (rates_hz or ANY_HZ)[0])
-    short = not seen and len(column.values) < max(FEWEST, SHORTEST_S * min(rates_hz or (0,)))
-    values = column.values[: round(ONE_PULSE_S * rate)]
-    level = np.empty(0) if pulse is None else steady(values, rate)[0]
+    short = not seen and len(values) < max(FEWEST, SHORTEST_S * min(rates_hz or (0,)))
+    first = values[: round(ONE_PULSE_S * rate)]
+    level = np.empty(0) if pulse is None else steady(first, rate)[0]
     return _Candidate(signal, None, pulse, bool(rates_hz) and len(seen) == 1, short, level)
 
 
@@ -190,7 +204,10 @@ def record_table(
         table["announce"] = announcing.number
         text += f"; the ECG {_title(announcing)} announces its beats"
     for each in file.signals:
-        if each.number != pulse.number and _examined(file, each, rate_hz).fault is None:
+        if each.number == pulse.number:
+            continue
+        opened = _opened(file, each, rate_hz)
+        if opened is None or opened[2] is None:
             others.append(each.name or str(each.number))
     if others:
         text += f"; the file also has {', '.join(others)[:120]} (--channel)"

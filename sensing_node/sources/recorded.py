@@ -204,10 +204,12 @@ class RecordedSource(SampleSource):
         self, file: SignalFile, loaded: list[RecordedColumn], rate_hz: float | None
     ) -> list[SignalInfo]:
         """Return what is known of columns, at a rate that overrides the first one's; warn of it."""
+        if rate_hz is None:
+            return [file.describe(column) for column in loaded]
         own_hz = None
         with suppress(SourceError):
             own_hz = file.describe(loaded[0]).rate_hz
-        if rate_hz is None or own_hz is None:
+        if own_hz is None:
             return [file.describe(column, rate_hz) for column in loaded]
         if abs(rate_hz / own_hz - 1) > RATE_TOLERANCE:
             self.warnings.append(
