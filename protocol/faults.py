@@ -166,18 +166,18 @@ class Fault:
 
     @property
     def identity(self) -> tuple[FaultKind, Part, str]:
-        """What stays the same while the fault lasts, whatever its figures."""
+        """Kind, part and contactor, which stay the same while the figures of the fault change."""
         return self.kind, self.part, self.contactor
 
     @property
     def advice(self) -> str:
-        """What a person is to check or to do before the node is started again."""
+        """Checks and actions before the node is started again."""
         advice = REMEDIES.get(self.kind, REMEDIES[FaultKind.UNKNOWN])
         return advice.format(part=self.part.value)
 
     @property
     def remedy(self) -> str:
-        """What a person is to do, in one line."""
+        """Advice, and that the node is to be started again, in one line."""
         return f"{self.advice}; {START_AGAIN}"
 
     def to_dict(self) -> dict[str, Any]:

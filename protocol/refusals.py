@@ -25,7 +25,7 @@ SERVER_LIST_UNREADABLE = "server_list_unreadable"
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """What a display waits for at one address, or why it does not come."""
+    """Cause for which a display waits at one address, or for which its stream does not come."""
 
     text: str
     #: What it means, or what a person can do; a line without room for it has the text alone.

@@ -66,12 +66,12 @@ class Alert:
 
     @property
     def identity(self) -> Hashable:
-        """What stays the same while the alert lasts."""
+        """Kind, contactor and fault, which stay the same while the alert lasts."""
         return self.kind, self.contactor, self.fault and self.fault.identity
 
     @property
     def subject(self) -> str:
-        """What it is about, within its kind; empty where there is nothing to tell apart."""
+        """Fault or contactor of the alert; empty where its kind has no other one."""
         return self.contactor if self.fault is None else str(self.fault)
 
     @property
@@ -81,7 +81,7 @@ class Alert:
 
     @property
     def text(self) -> str:
-        """What is wrong and what to do, in full."""
+        """Reason and remedy in full."""
         return "; ".join(filter(None, (self.reason, *self.further)))
 
 
