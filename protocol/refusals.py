@@ -163,6 +163,8 @@ CAUSE_MEANINGS = {
     "crc": "frames with a wrong checksum: check the sensor's cable",
     "format": "frames of an unknown format: check the sensor's firmware",
     "not_a_number": "lines without a number in the scene's column",
+    "labels": "lines with other labels than those before: set column to the label to be read",
+    "unit": "numbers in another unit than the scene's: compare unit",
     "device_time": "lines whose device time does not follow the last",
     "counter": "sample counters that jump: the sensor lost samples or restarted",
     "not_decoded": "CAN messages that the database does not describe",

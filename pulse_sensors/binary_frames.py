@@ -16,10 +16,18 @@ from typing import Literal
 
 import numpy as np
 
+from protocol.config.quantities import count_text
 from protocol.errors import WireError
 from protocol.serial_frames import FrameReader, encode_frame
 from pulse_sensors.sample_plausibility import is_usable
-from pulse_sensors.samples import DecodedBlock, DeviceTime, SampleCounter, Values, decoded_block
+from pulse_sensors.samples import (
+    DecodedBlock,
+    DeviceTime,
+    SampleCounter,
+    Values,
+    decoded_block,
+    quoted,
+)
 
 SampleFormat = Literal["int16", "int32", "float32"]
 
@@ -27,6 +35,7 @@ MAX_SAMPLES = 64
 _CODES: dict[SampleFormat, int] = {"int16": 1, "int32": 2, "float32": 3}
 _DTYPES = {code: np.dtype(name).newbyteorder("<") for name, code in _CODES.items()}
 _CHANNELS_SHIFT, _CODE_MASK = 4, 0x0F
+_LINE_ENDS = str.maketrans("\r\n\t", "   ")
 _HEAD = struct.Struct("<BII")
 
 
@@ -66,6 +75,8 @@ class FrameDecoder:
         self._most_bytes = _HEAD.size + 4 * MAX_SAMPLES * channels
         self._period_ns = period_ns
         self.rejected: Counter[str] = Counter()
+        # The newest bytes without a frame, and why the newest body is no sample.
+        self._unread, self._no_sample = b"", WireError("format", "")
         self.reset()
 
     def reset(self) -> None:
@@ -74,14 +85,29 @@ class FrameDecoder:
         self._time = DeviceTime()
         self._counter = SampleCounter(1 << 32, self._period_ns, self.rejected)
 
+    @property
+    def refused(self) -> dict[str, str]:
+        """A sentence for each cause of `rejected`, with its newest bytes and what to set."""
+        error, unread = self._no_sample, self._unread
+        is_text = unread.isascii() and unread.decode().translate(_LINE_ENDS).isprintable()
+        advice = 'set framing = "text"' if is_text else "set baud to that of the board"
+        no_frame = f"the bytes {quoted(unread)} hold no frame: {advice}"
+        return {
+            error.cause: str(error),
+            **dict.fromkeys(("crc", "partial", "framing"), no_frame),
+        }
+
     def feed(self, data: bytes) -> list[DecodedBlock]:
         """Return the blocks that these bytes complete."""
-        blocks = []
-        for body in self._reader.feed(data):
+        blocks, bodies = [], self._reader.feed(data)
+        if not bodies:
+            self._unread = data
+        for body in bodies:
             try:
                 blocks.append(self._decode(body))
             except WireError as error:
                 self.rejected[error.cause] += 1
+                self._no_sample = error
         return blocks
 
     def _decode(self, body: bytes) -> DecodedBlock:
@@ -96,12 +122,19 @@ class FrameDecoder:
             or channels != self._channels
             or payload_bytes % (channels * dtype.itemsize)
         ):
-            raise WireError("format", f"format {code:#x} with {payload_bytes} bytes of samples")
+            raise WireError(
+                "format",
+                f"the frame {quoted(body)} has format {code:#x}, so {count_text(channels, 'value')}"
+                f" a sample, and the scene {self._channels}: set names, one for each value, or"
+                " check the board's program",
+            )
         count = payload_bytes // (channels * dtype.itemsize)
         values = np.frombuffer(body, dtype, count * channels, _HEAD.size)
         if not all(map(is_usable, values.tolist())):
             raise WireError(
-                "not_finite", "a sample is NaN, infinite or too large whatever its unit"
+                "not_finite",
+                f"the frame {quoted(body)} has a sample that is NaN, infinite or too large"
+                " whatever its unit: check the board's program",
             )
         passed_ns = self._time.since_last_ns(last_us)
         missing = self._counter.missing(counter, count, passed_ns)

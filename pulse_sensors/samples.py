@@ -42,6 +42,17 @@ class DecodedBlock(NamedTuple):
     restarted: bool = False
 
 
+# Bytes or characters of a device's data in a warning.
+QUOTED = 60
+
+
+def quoted(data: object) -> str:
+    """Return the begin of a device's data for people, as they came, escaped."""
+    text = repr(data[:QUOTED])[1:] if isinstance(data, bytes) else repr(str(data)[:QUOTED])
+    length = len(data) if isinstance(data, bytes) else len(str(data))
+    return text if length <= QUOTED else f"{text[:-1]}…{text[-1]}"
+
+
 Values = Sequence[float] | Sequence[Sequence[float]]
 """Samples of one channel, or of several: then the values of each sample."""
 
@@ -220,7 +231,8 @@ class Timeline:
         first_ns, end_ns and missing as in `SampleBlock`; None if they are earlier than the last.
         """
         if self._origin_ns is None:
-            self._origin_ns = last_ns - (count - 1) * self._nominal_ns
+            # Samples may be lost before the first one.
+            self._origin_ns = last_ns - (missing + count - 1) * self._nominal_ns
         origin_ns, period_ns = self._origin_ns, self._period_ns
         passed_ns = last_ns - origin_ns
         error_ns = passed_ns - (self._next_ns + (missing + count - 1) * period_ns)

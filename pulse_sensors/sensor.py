@@ -29,8 +29,9 @@ from protocol.config.quantities import count_text
 from protocol.config.scene import Section
 from protocol.errors import SourceError
 from protocol.host.guard import GuardedThread
+from protocol.refusals import CAUSE_MEANINGS
 from pulse_sensors.force_scale import SensorTable
-from pulse_sensors.samples import DecodedBlock, SampleBlock, Timestamper
+from pulse_sensors.samples import DecodedBlock, SampleBlock, Timestamper, quoted
 
 logger = logging.getLogger(__name__)
 
@@ -38,6 +39,8 @@ MAX_WAITING = 10_000
 REOPEN_EVERY_S = 0.2
 # Longer than any driver waits for a device that is opened.
 CLOSES_WITHIN_S = 10.0
+# Time in which data comes until it is judged, and least number of samples that are due in it.
+JUDGED_NS, LEAST_DUE = 1_500_000_000, 3
 
 
 class Port(Protocol):
@@ -65,7 +68,11 @@ class Decoder(Protocol):
 
     @property
     def rejected(self) -> Counter[str]:
-        """Count of refusals by cause."""
+        """Count of refusals by cause.
+
+        A decoder may have `refused` beside it: of each cause a sentence with the newest data, as
+        they came, and with what to set.
+        """
 
     def feed(self, data: Any) -> list[DecodedBlock]:
         """Return the blocks completed by this data."""
@@ -119,6 +126,63 @@ class PortFailure(NamedTuple):
     opening: bool
 
 
+class UnreadData:
+    """Check of a device whose data come, and give no samples, or fewer than are refused.
+
+    A warning has the usual cause, the data as they came, and what to set. It is repeated when the
+    cause changes, or after a time of good data.
+
+    samples, rejected: numbers of samples and of refusals when the present data began to come.
+    fault: the present warning; empty while samples come.
+    """
+
+    def __init__(self, name: str, decoder: Decoder, period_ns: int) -> None:
+        self._name, self._decoder = name, decoder
+        self._judged_ns = max(JUDGED_NS, LEAST_DUE * period_ns)
+        self._since_ns: int | None = None
+        self._data: Any = None
+        self._cause: str | None = None
+        self.samples, self.rejected = 0, Counter[str]()
+        self.fault = ""
+
+    def take(self, data: Any, at_ns: int) -> None:
+        """Note data and their arrival."""
+        self._data = data
+        if self._since_ns is None:
+            self._since_ns = at_ns
+
+    def begin(self, samples: int, rejected: Counter[str]) -> None:
+        """Begin anew with the next data."""
+        self._since_ns, self.samples, self.rejected = None, samples, rejected
+
+    @property
+    def is_open(self) -> bool:
+        """True while data that have come are not judged."""
+        return self._since_ns is not None
+
+    def due(self, now_ns: int) -> bool:
+        """Return whether data have come for long enough to be judged."""
+        return self._since_ns is not None and now_ns - self._since_ns >= self._judged_ns
+
+    def judge(self, samples: int, rejected: Counter[str]) -> None:
+        """Log a warning where too few samples have come; then begin anew."""
+        read, refused = samples - self.samples, rejected - self.rejected
+        self.begin(samples, rejected)
+        if read > refused.total():
+            self._cause, self.fault = None, ""
+            return
+        # Of each cause its newest data, and what to set.
+        sentences: dict[str, str] = getattr(self._decoder, "refused", {})
+        cause = refused.most_common(1)[0][0] if refused else next(reversed(sentences), "")
+        meaning = CAUSE_MEANINGS.get(cause, "no line, frame or message of the scene's is in it")
+        text = sentences.get(cause) or f"{quoted(self._data)}: {meaning}"
+        much = f"{read} of {read + refused.total()} samples" if read else "no sample"
+        self.fault = f"{self._name} sends, but {much} can be read: {text}"
+        if cause != self._cause:
+            self._cause = cause
+            logger.warning(self.fault)
+
+
 class Sensor:
     """A live sensor. Reading starts on construction and ends with `close`.
 
@@ -141,6 +205,7 @@ class Sensor:
         # (time in ns, data | PortFailure: no data, or for another reason now | None: data again)
         self._received: deque[tuple[int, Any]] = deque()
         self._dropped = 0
+        self._unread = UnreadData(port.name, decoder, settings.period_ns)
         self._rate_reported = False
         #: Number of times that the device was gone.
         self.losses = 0
@@ -168,11 +233,17 @@ class Sensor:
                 self._note_return(at_ns)
                 continue
             if isinstance(data, PortFailure):
+                self._unread.begin(self.timestamper.samples, self.rejected)
                 self._note_failure(at_ns, data)
                 continue
+            self._unread.take(data, at_ns)
             for block in self._decoder.feed(data):
                 if (timestamped := self.timestamper.timestamp(block, at_ns)) is not None:
                     blocks.append(timestamped)
+            self._judge(at_ns)
+        if self._unread.is_open and self.timestamper.samples == self._unread.samples:
+            # Without samples, the time passes also without data.
+            self._judge(self._clock())
         if blocks and not self._rate_reported:
             fault = self.timestamper.rate.fault(self._port.name)
             if fault is not None:
@@ -203,6 +274,8 @@ class Sensor:
                 faults.append(f"{name} is open again, but sends nothing")
             elif self._reason:
                 faults.append(f"{self._reason} ({count_text(self._attempts, 'attempt')})")
+        if self._unread.fault:
+            faults.append(self._unread.fault)
         return [*faults, *self.timestamper.faults(name)]
 
     def close(self) -> None:
@@ -215,6 +288,10 @@ class Sensor:
             self._port.close()
         except Exception as error:  # exception types differ by driver
             logger.warning(f"{self._port.name} cannot be closed: {_text(error)}")
+
+    def _judge(self, now_ns: int) -> None:
+        if self._unread.due(now_ns):
+            self._unread.judge(self.timestamper.samples, self.rejected)
 
     def _note_failure(self, at_ns: int, failure: PortFailure) -> None:
         """Log why the device gives no data; count it where it has just gone."""

@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
+from protocol.config.quantities import Name
 from protocol.errors import SourceError
 from protocol.host.descriptors import await_readable
 from protocol.wire.description import PULSE
@@ -24,7 +25,7 @@ from pulse_sensors.text_lines import TextDecoder, TimeUnit
 
 logger = logging.getLogger(__name__)
 
-Column = Annotated[int, Field(ge=0, le=100)]
+Column = Annotated[int, Field(ge=0, le=100)] | Name
 READ_BYTES = 4096
 WAIT_S = 0.1
 SOCKET = "socket://"
@@ -36,8 +37,8 @@ class SerialScene(SensorScene):
 
     port: a device, or a pyserial URL such as socket://host:port. framing: "text", which is lines of
     numbers, or "binary" (`binary_frames.py`). device_time: unit of a line's first number, if that
-    is the device's time. column: index of the value among the numbers after it, from 0. columns:
-    those of several values; with names and without columns, the first numbers.
+    is the device's time. column: index of the value among the numbers after it, from 0, or its
+    label. columns: those of several values; with names and without columns, the first numbers.
     """
 
     kind: Literal["serial"]
@@ -58,8 +59,8 @@ class SerialScene(SensorScene):
         return self
 
     @property
-    def numbers(self) -> tuple[int, ...]:
-        """Indices of a line's values among the numbers after its time."""
+    def numbers(self) -> tuple[int | str, ...]:
+        """Labels of a line's values, or their indices among the numbers after its time."""
         if self.columns is not None:
             return self.columns
         if self.names is None or "column" in self.model_fields_set:
@@ -71,8 +72,9 @@ class SerialScene(SensorScene):
         """Names of a sample's values, in order, where the scene gives none."""
         if self.framing == "binary":
             return self.names or (PULSE,)
-        several = len(self.numbers) > 1
-        return tuple(f"column {number}" if several else PULSE for number in self.numbers)
+        if len(self.numbers) == 1:
+            return (PULSE,)
+        return tuple(n if isinstance(n, str) else f"column {n}" for n in self.numbers)
 
     def device(self, folder: Path) -> "tuple[SerialPort, FrameDecoder | TextDecoder]":
         """See `SensorScene.device`."""
@@ -82,7 +84,8 @@ class SerialScene(SensorScene):
         """Return the decoder of the framing. Raises SourceError if a library is missing."""
         if self.framing == "binary":
             return FrameDecoder(self.period_ns, len(self.wire_channels))
-        return TextDecoder(self.period_ns, self.numbers, self.device_time)
+        units = [self.announce_unit if c.announces else self.unit for c in self.wire_channels]
+        return TextDecoder(self.period_ns, self.numbers, self.device_time, units)
 
 
 class UsbDevice(NamedTuple):

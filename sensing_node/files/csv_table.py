@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from protocol.errors import SourceError
+from pulse_sensors.text_lines import UNITS
 from sensing_node.files.bounds import check_regular, check_samples
 from sensing_node.files.clock import time_of
 from sensing_node.files.column_kind import STATUS, conversion, counts, named_kind, words
 from sensing_node.files.columns import column_file
 from sensing_node.files.recording_plausibility import UNIX_S
 from sensing_node.files.signals import (
-    UNITS,
     Floats,
     SignalFile,
     finite,

@@ -16,6 +16,7 @@ from protocol.errors import SourceError
 from protocol.wire.description import first_repeated
 from protocol.wire.marks import printable
 from pulse_sensors.sample_plausibility import RATE_TOLERANCE
+from pulse_sensors.text_lines import UNITS, unit_symbol
 from sensing_node.files.column_kind import find_pulse, named_kind
 from sensing_node.files.recording_plausibility import (
     LEAST_HZ,
@@ -32,18 +33,6 @@ Floats = NDArray[np.float64]
 MOST_CHARACTERS = 1000
 # First bytes of a text, from which its encoding is recognised.
 FIRST_BYTES = 1 << 16
-_WORDS = {
-    "volts": "V",
-    "millivolts": "mV",
-    "microvolts": "uV",
-    "newtons": "N",
-    "millinewtons": "mN",
-}
-UNITS = re.compile(
-    rf"{'|'.join(_WORDS)}|[mµμu]?[NVAg]|kg|[hkm]?Pa|m?bar|mmHg|cmH2O|NU|a\.?u\.?|ad[cu]|counts?|raw|lsb|%|°?C|degC|bpm"
-    r"|1/min|k?Hz|m/s[2²]|deg|dps|k?ohm|[mµμun]?s|min",
-    re.IGNORECASE,
-)
 _AFTER_SLASH = re.compile(r"(.*\S)\s*[/,]\s*(\S+)")
 _ENDS_WITH_UNIT = re.compile(r".*_(N|mN|mmHg|kPa|mV|uV)")
 _NAMED_UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
@@ -248,11 +237,6 @@ def split_unit(name: str) -> tuple[str, str]:
     found = _AFTER_SLASH.fullmatch(name.strip())
     known = found and UNITS.fullmatch(found[2])
     return (found[1], unit_symbol(found[2])) if found and known else (name, "")
-
-
-def unit_symbol(unit: str) -> str:
-    """Return the symbol of a unit that is a word, such as "Volts"; others as they are."""
-    return _WORDS.get(unit.lower(), unit)
 
 
 def aligned(signals: Sequence[SignalInfo], values: Sequence[Floats], rate_hz: float) -> Floats:

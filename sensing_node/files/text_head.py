@@ -4,9 +4,10 @@ import re
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
+from pulse_sensors.text_lines import UNITS
 from sensing_node.files.clock import are_times
 from sensing_node.files.recording_plausibility import LEAST_HZ, MOST_HZ
-from sensing_node.files.signals import UNITS, split_unit
+from sensing_node.files.signals import split_unit
 from sensing_node.files.text_layout import is_comment
 
 _NUMBER = re.compile(r"\d+(?:[.,]\d+)?(?:e[-+]?\d+)?", re.IGNORECASE)

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from protocol.errors import SourceError
+from pulse_sensors.text_lines import MEASURED, labelled_numbers
 from sensing_node.files.clock import time_of
-from sensing_node.files.signals import UNITS
 
 if TYPE_CHECKING:
     from _csv import Reader
@@ -39,13 +39,6 @@ _GROUPED = {
     ".": re.compile(r"[-+]?\d{1,3}(?:[,'\u00a0\u202f ]\d{3})+(?:\.\d*)?"),
     ",": re.compile(r"[-+]?[1-9]\d{0,2}(?:[.'\u00a0\u202f ]\d{3})+(?:,\d*)?"),
 }
-_LABELLED = re.compile(
-    r"[\"']?([^\W\d][\w .%/()\[\]-]*?)[\"']?\s*[=:]\s*([-+]?\d+(?:[.,]\d+)?(?:e[-+]?\d+)?)"
-    rf"(?:\s*({UNITS.pattern})(?!\s*[=:\w]))?",
-    re.IGNORECASE,
-)
-_LETTERED = re.compile(r"([A-Za-z])([-+]?\d+(?:\.\d+)?)")
-_MEASURED = re.compile(rf"(.*\d[.,]?)\s*({UNITS.pattern})", re.IGNORECASE)
 
 
 class Layout(NamedTuple):
@@ -79,14 +72,14 @@ class Layout(NamedTuple):
 
     def _unlabelled(self, line: str) -> str:
         """Return the numbers of a line by label; one cell more for other labels."""
-        numbers = dict(labelled_numbers(line))
+        numbers = dict(_titled_numbers(line))
         more = [OTHER_LABELS] if set(numbers) - set(self.labels) else []
         found = [numbers.get(label, "") for label in self.labels]
         return ";".join(found + more) if numbers else line
 
     def measured(self, text: str) -> tuple[str, str]:
         """Return the number of a cell, as it stands there, and its unit or nothing."""
-        found = _MEASURED.fullmatch(text.strip())
+        found = MEASURED.fullmatch(text.strip())
         return (found[1], found[2]) if found else (text, "")
 
     def number(self, text: str) -> float | None:
@@ -131,21 +124,17 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith(COMMENTS)
 
 
-def labelled_numbers(line: str) -> list[tuple[str, str]]:
-    """Return labels and numbers of a line; the time before "->" is one."""
-    found = [
-        (f"{label} [{unit}]" if unit else label, number)
-        for label, number, unit in _LABELLED.findall(line)
+def _titled_numbers(line: str) -> list[tuple[str, str]]:
+    """Return the labels of a line, with their units, and the numbers."""
+    return [
+        (f"{number.label} [{number.unit}]" if number.unit else number.label, number.text)
+        for number in labelled_numbers(line)
     ]
-    if (lettered := _LETTERED.fullmatch(line.strip())) is not None:
-        return [(lettered[1], lettered[2])]
-    time, arrow, _ = line.partition("->")
-    return [("time", time.strip()), *found] if found and arrow else found
 
 
 def _refuse_kinds(lines: Sequence[str], path: Path) -> None:
     """Refuse lines of several kinds, or of several values each. Raises SourceError."""
-    kinds = Counter(", ".join(sorted(label for label, _ in labelled_numbers(x))) for x in lines)
+    kinds = Counter(", ".join(sorted(label for label, _ in _titled_numbers(x))) for x in lines)
     with suppress(ValueError, RecursionError):
         rows = [row for row in map(json.loads, lines) if isinstance(row, dict)]
         held = [pair for row in rows for pair in row.items()]
@@ -194,7 +183,7 @@ def _tried(separator: str, lines: Sequence[str]) -> tuple[tuple[float, ...], For
     sample = lines[begin:][-SAMPLE_LINES:]
     layout = Layout(separator, ".")
     if separator == LABELS:
-        labels = Counter(tuple(label for label, _ in labelled_numbers(line)) for line in sample)
+        labels = Counter(tuple(label for label, _ in _titled_numbers(line)) for line in sample)
         layout = Layout(";", ".", labels.most_common(1)[0][0])
     rows = [layout.row(line) for line in sample]
     layout = layout._replace(decimal=_decimal([cell for row in rows for cell in row], separator))

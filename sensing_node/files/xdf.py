@@ -11,9 +11,10 @@ import numpy as np
 import pyxdf
 
 from protocol.errors import SourceError
+from pulse_sensors.text_lines import unit_symbol
 from sensing_node.files.bounds import read_whole
 from sensing_node.files.grids import evenly, unsteady
-from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo, unit_symbol
+from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo
 
 MAGIC = b"XDF:"
 STREAM_HEADER, SAMPLES = 2, 3

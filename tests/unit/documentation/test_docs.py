@@ -24,7 +24,7 @@ def test_every_cause_of_refusal_has_a_meaning_and_no_other() -> None:
     sources = [
         path.read_text(encoding="utf-8") for p in PACKAGES for path in (ROOT / p).rglob("*.py")
     ]
-    counted = re.compile(r'(?:WireError\(|cause = |rejected\[|_reject\()"(\w+)"')
+    counted = re.compile(r'(?:WireError\(\s*|cause = |rejected\[|_reject\()"(\w+)"')
     raised = set(counted.findall("\n".join(sources)))
     raised |= {"truncated", "not_msgpack", "version", "duplicate", "overlap"}
     raised |= {SUBSCRIPTION, *CONNECTIONS}

@@ -219,6 +219,17 @@ def test_gaps_keep_their_time_and_past_times_are_refused() -> None:
     assert behind.place(1, 0, START_NS + 1000 * MS) == at_ms(1000, 1001, 0)
 
 
+def test_samples_lost_before_the_first_one_delay_none() -> None:
+    under_test, lost = timestamper("binary"), 5_000
+    blocks = [
+        under_test.timestamp(decoded_block([0.5], missing=lost * (not n)), START_NS + n * MS)
+        for n in range(100)
+    ]
+    assert under_test.behind == 0
+    assert blocks[0] is not None
+    assert (blocks[0].first_ns, blocks[0].missing) == (START_NS, lost)
+
+
 def test_a_value_too_large_for_a_frame_is_a_lost_sample_and_no_lost_frame() -> None:
     """Displays refuse a frame with such a value, and with it the samples of all its channels."""
     under_test, framer = timestamper("binary"), Framer(description(batch=5), session=1)

@@ -10,9 +10,11 @@ import pytest
 from protocol.config.scene import validate
 from protocol.errors import SourceError
 from pulse_sensors import sensor as module
+from pulse_sensors.binary_frames import FrameDecoder, FrameEncoder
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.samples import DecodedBlock, decoded_block
-from pulse_sensors.sensor import Sensor
+from pulse_sensors.sensor import Decoder, Sensor
+from pulse_sensors.text_lines import TextDecoder
 from tests.support.sample_blocks import forces, received
 from tests.support.waiting import PATIENCE_S, until
 
@@ -218,6 +220,94 @@ def test_data_that_are_not_polled_are_dropped_and_counted(monkeypatch: pytest.Mo
         assert len(sensor.poll()) == 10
         assert sensor.rejected == {"backlog": 15}
         assert sensor.poll() == []
+
+
+class Lines(GivenPort):
+    """A port at which each read takes a time, and at the end silence."""
+
+    def __init__(self, *given: tuple[float, bytes]) -> None:
+        super().__init__(*(data for _, data in given))
+        self._waits_s = [wait_s for wait_s, _ in given]
+        self.now_s = 0.0
+
+    def read(self) -> object:
+        self.now_s += self._waits_s.pop(0) if self._waits_s else 0.1
+        return super().read()
+
+    def clock(self) -> int:
+        return round(self.now_s * 1e9)
+
+
+def lines_of(seconds: float, line: bytes) -> list[tuple[float, bytes]]:
+    """Return reads of 10 lines a second."""
+    return [(0.1, line)] * round(10 * seconds)
+
+
+def unread(decoder: Decoder, *given: tuple[float, bytes]) -> Sensor:
+    """Return a sensor that has read all that is given, and is closed."""
+    port = Lines(*given)
+    with closing(Sensor(port, decoder, TEN_HZ, port.clock)) as sensor:
+        while not port.empty.is_set():
+            sensor.poll()
+        until(lambda: not sensor.poll() and port.now_s > sum(wait for wait, _ in given) + 3)
+    return sensor
+
+
+TEN_HZ = validate({"rate": "10 Hz", "unit": "N"}, SensorTable, "scene")
+WORDS = "the port sends, but no sample can be read: the line 'ready\\t?' has 'ready' where"
+
+
+def test_data_without_a_sample_are_quoted_once_within_2_s(logged: list[str]) -> None:
+    text = TextDecoder(100_000_000, (0,), None)
+    sensor = unread(text, *lines_of(1.4, b"ready\t?\n"))
+    assert [line.startswith(WORDS) for line in logged] == [True]
+    assert sensor.faults()[0] == logged[0]
+    # One such line and then silence, as of a board that waits for a key.
+    logged.clear()
+    unread(TextDecoder(100_000_000, (0,), None), (0.1, b"\n"), (0.1, b"ready\t?\n"))
+    assert [line.startswith(WORDS) for line in logged] == [True]
+
+
+def test_another_cause_is_named_anew_and_none_while_samples_come(logged: list[str]) -> None:
+    ready, good = b"ready\t?\n", b"Force: 0.3 N\n"
+    kilos, slow = b"Force: 3 kg\n", lines_of(2, b"")
+    text = TextDecoder(100_000_000, (0,), None, ("N",))
+    sensor = unread(
+        text, *lines_of(9, ready), *lines_of(9, kilos), *lines_of(9, good), *slow,
+        *lines_of(9, good), *lines_of(9, ready), *lines_of(9, good),
+    )  # fmt: skip
+    first, second, third = logged
+    assert first.startswith(WORDS)
+    assert third.startswith(WORDS)
+    assert "the line 'Force: 3 kg' is in kg, the scene says unit = \"N\"" in second
+    assert not any("can be read" in fault for fault in sensor.faults())
+
+
+def test_any_decoder_s_data_are_quoted(logged: list[str]) -> None:
+    class Deaf(AsIs):
+        def feed(self, data: object) -> list[DecodedBlock]:
+            self.rejected["crc"] += 1
+            return []
+
+    unread(Deaf(), *lines_of(2, b"\x00\xff" * 40))
+    (line,) = logged
+    start = "the port sends, but no sample can be read: '" + "\\x00\\xff" * 30
+    assert line == f"{start}…': frames with a wrong checksum: check the sensor's cable"
+
+
+def test_text_at_a_reader_of_frames_and_frames_of_another_kind_are_named(
+    logged: list[str],
+) -> None:
+    unread(FrameDecoder(100_000_000), *lines_of(2, b"0.345\r\n"))
+    assert logged == [
+        "the port sends, but no sample can be read: the bytes '0.345\\r\\n' hold no frame: set"
+        ' framing = "text"'
+    ]
+    logged.clear()
+    encoder = FrameEncoder("int16", channels=3)
+    frames = [(0.1, encoder.frame([[1, 2, 3]], n * 100_000)) for n in range(20)]
+    unread(FrameDecoder(100_000_000), *frames)
+    assert "has format 0x31, so 3 values a sample, and the scene 1: set names" in logged[0]
 
 
 def test_a_wrong_rate_is_logged_once_while_the_sensor_runs(logged: list[str]) -> None:

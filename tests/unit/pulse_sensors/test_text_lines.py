@@ -1,4 +1,5 @@
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -36,6 +37,11 @@ def lines(*ranges: range) -> bytes:
         (b"0.25\n", 0, 0.25), (b" 0.25 \r\n", 0, 0.25), (b"+2.5e-1\r", 0, 0.25),
         (b"1,0.25\n", 1, 0.25), (b"1;\t0.25 ; 7\n", 1, 0.25),
         (b"force:0.25,temperature:31\n", 0, 0.25),
+        # With labels and units, as in files.
+        (b"Force: 0.345 N\n", 0, 0.345), (b"IR=51234 RED=40000\n", 1, 40_000),
+        (b"S512\n", 0, 512), (b"0.345 N\n", 0, 0.345), (b"0.345N, 31 C\n", 1, 31),
+        (b"IR=51234, BPM=60.1 No finger?\n", 1, 60.1), (b'{"ir": 5, "red": 6.5}\n', 1, 6.5),
+        (b"Avg Force (N): -2.5e-1\n", 0, -0.25),
     ],
 )  # fmt: skip
 def test_lines_as_sketches_print_them_are_decoded(text: bytes, column: int, value: float) -> None:
@@ -137,10 +143,109 @@ def test_no_line_is_lost_where_a_board_counts_in_milliseconds(unit_us: int, peri
     assert sum(block.missing for block in blocks) == 0
 
 
-@pytest.mark.parametrize(("unit", "lines"), [("us", 1), ("ms", 2)])
-def test_a_clock_that_stands_still_is_refused(unit: TimeUnit, lines: int) -> None:
-    _, rejected = timed(b"7,1\n" * 20, unit)
-    assert rejected == {"device_time": 20 - lines}
+@pytest.mark.parametrize("unit", ["us", "ms"])
+def test_a_clock_that_stands_still_is_refused(unit: TimeUnit) -> None:
+    """Its resolution may be 0.1 s."""
+    _, rejected = timed(b"7,1\n" * 300, unit)
+    assert rejected == {"device_time": 200}
+
+
+COARSE = [
+    # As Arduino prints a float: two decimals.
+    (1_000, lambda us: f"{us * 1e-6:.2f}", "s", "10 ms"),
+    (250, lambda us: f"{us * 1e-6:.2f}", "s", ""),
+    (100, lambda us: f"{us * 1e-6:.2f}", "s", ""),
+    (50, lambda us: f"{us * 1e-6:.2f}", "s", ""),
+    (500, lambda us: f"{us * 1e-6:.1f}", "s", "100 ms"),
+    # More decimals than the clock has, and whole numbers of a clock with slow ticks.
+    (1_000, lambda us: f"{us // 10_000 * 1e-2:.3f}", "s", "10 ms"),
+    (1_000, lambda us: f"{(us + 7_000) // 10_000 * 1e-2:.3f}", "s", "10 ms"),
+    (1_000, lambda us: f"{us // 16_000 * 16}", "ms", "16 ms"),
+    (1_000, lambda us: f"{us // 1_024 * 1_024 // 1_000}", "ms", ""),
+    (1_000, lambda us: f"{us // 50_000 * 50_000}", "us", "50 ms"),
+]
+
+
+@pytest.mark.parametrize(("rate_hz", "stamp", "unit", "steps"), COARSE)
+def test_coarse_device_times_lose_no_sample(
+    rate_hz: int, stamp: Callable[[int], str], unit: TimeUnit, steps: str, logged: list[str]
+) -> None:
+    decoder, count = TextDecoder(1_000_000_000 // rate_hz, (0,), unit), 8 * rate_hz
+    decoder.feed(b"\n")
+    sent = [f"{stamp(n * 1_000_000 // rate_hz)},{n}\n".encode() for n in range(count)]
+    blocks = [block for line in sent for block in plain(decoder.feed(line))]
+    assert values(blocks) == list(range(count))
+    assert sum(block.missing for block in blocks) == 0
+    assert decoder.rejected == {}
+    assert [block.restarted for block in blocks[1:]] == [False] * (count - 1)
+    # Times that tell less than those of arrival are left out, which is said once.
+    assert len(logged) == bool(steps)
+    assert (blocks[-1].device_ns is None) == bool(steps)
+    if steps:
+        assert f"step by {steps}, " in logged[0]
+
+
+def test_noise_in_the_decimals_of_a_time_makes_no_clock_coarse(logged: list[str]) -> None:
+    text = b"".join(b"%.3f,1\n" % (n * 1e-3) for n in range(500))
+    timed(text.replace(b"0.301,", b"0,").replace(b"0.302,", b"0.3,"), "s")
+    assert logged == []
+
+
+@pytest.mark.parametrize(
+    ("unit", "line", "value"),
+    [
+        ("N", b"Force: 345 mN", 0.345), ("mN", b"0.345 N", 345.0), ("mV", b"A0: 2.5V", 2500.0),
+        ("N", b"Force: 0.3 newtons", 0.3), ("counts", b"Force: 512 N", 512.0),
+        ("N", b"A0: 2.5 V", "unit"), ("N", b"Load: 34.5 g", "unit"),
+    ],
+)  # fmt: skip
+def test_a_number_has_the_unit_of_its_line(unit: str, line: bytes, value: float | str) -> None:
+    decoder = TextDecoder(MS, (0,), None, (unit,))
+    read = values(plain(decoder.feed(b"\n" + line + b"\n")))
+    if isinstance(value, str):
+        assert (read, decoder.rejected) == ([], {value: 1})
+        assert f'the scene says unit = "{unit}"' in decoder.refused[value]
+    else:
+        assert read == pytest.approx([value])
+
+
+def test_lines_of_several_kinds_are_no_signal_until_one_is_chosen() -> None:
+    lines = b"".join(b"IR=%d\nRED=%d\n" % (n, -n) for n in range(100))
+    blocks, rejected = untimed(lines)
+    assert values(blocks) == [0]
+    assert rejected == {"labels": 199}
+    chosen = TextDecoder(MS, ("RED",), None)
+    blocks = plain(chosen.feed(b"\n" + lines))
+    assert values(blocks) == [-n for n in range(100)]
+    # The others are not lost samples.
+    assert sum(block.missing for block in blocks) == chosen.rejected.total() == 0
+    absent = TextDecoder(MS, ("GREEN",), None)
+    assert absent.feed(b"\n" + lines) == []
+    assert absent.refused["labels"] == "the line 'RED=-99' has no 'GREEN', but RED: set column"
+
+
+def test_a_signal_keeps_its_label_where_lines_of_other_kinds_come_between() -> None:
+    """As sketches for pulse sensors print a beat: its rate and its interval."""
+    blocks, rejected = untimed(b"B72\nQ800\nS512\nS513\nB72\nQ800\nS514\nS515\n")
+    assert values(blocks) == [72, 513, 514, 515]
+    assert rejected == {"labels": 4}
+    blocks, _ = untimed(b"IR=1 RED=2\nIR=3 RED=4\nIR5 RED=6\nIR=7 RED=8\n")
+    assert values(blocks) == [1, 3, 7]
+
+
+@pytest.mark.parametrize(
+    ("line", "text"),
+    [
+        (b"ready", "the line 'ready' has 'ready' where a number was expected: set column to"),
+        (b"\x1b[2J\x80", 'is no text: set framing = "binary", or baud to that of the sketch'),
+        (b"F: 0,345", "the line 'F: 0,345' has '0,345' where a number was expected"),
+        (b"F: 0.3#45 N", "has '0.3#45' where a number was expected"),
+    ],
+)
+def test_a_line_that_cannot_be_read_is_quoted_with_what_to_set(line: bytes, text: str) -> None:
+    decoder = TextDecoder(MS, (0,), None)
+    assert decoder.feed(b"\n" + line + b"\n") == []
+    assert text in decoder.refused["not_a_number"]
 
 
 def test_noise_gives_no_sample_and_uses_bounded_memory() -> None:
