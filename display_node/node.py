@@ -294,11 +294,13 @@ class DisplayNode:
     def _waiting_for(self) -> list[Reason]:
         """Return what the display waits for while it has no stream to play."""
         state, description = self._display.state, self._display.receiver.description
+        connection, now_ns = self._connection, time.perf_counter_ns()
         if state not in WITHOUT_SAMPLES:
             return []
-        if state == "waiting" and description is not None and self._connection.refused is None:
+        is_ready = connection.refused is None and connection.has_data_link(now_ns)
+        if state == "waiting" and description is not None and is_ready:
             return [Reason(f"the first samples of {description.name!r}")]
-        return self._connection.waiting_for(time.perf_counter_ns())
+        return connection.waiting_for(now_ns)
 
     def _finish(self) -> Summary:
         if (leaving := self._display.receiver.leave()) is not None:

@@ -46,7 +46,7 @@ class ConnectionWords(NamedTuple):
     meaning: str
     at_server: str = ""
     at_client: Reason = Reason("")
-    without_keys: Reason = Reason("is no node, or breaks off as soon as it is connected")
+    without_keys: Reason = Reason("breaks off as soon as it is connected", "check the address")
 
 
 CONNECTIONS = {

@@ -5,6 +5,7 @@ delays by seconds. So each look-up runs in a thread of its own (decision 6), and
 addresses only.
 """
 
+import ipaddress
 import json as json_format
 import logging
 import math
@@ -111,6 +112,7 @@ def _others(found: list[Announcement]) -> str:
 
 
 LOOK_UP_AGAIN_S = 2.0
+STREAM = socket.SOCK_STREAM
 
 
 class Lookup:
@@ -151,10 +153,14 @@ class Lookup:
             self._found = self._address
             return
         host, _, port = place.rpartition(":")
+        failure = _zone_fault(host.strip("[]"), port)
+        found: list[tuple[Any, ...]] = []
         try:
-            found = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)
+            found = [] if failure else socket.getaddrinfo(host.strip("[]"), port, type=STREAM)
         except OSError as error:
-            self.failure = f"{host} is not found: {error.strerror}"
+            failure = f"{host} is not found: {error.strerror}"
+        if failure:
+            self.failure = failure
             self._warn(f"{self.failure}; retrying")
             time.sleep(LOOK_UP_AGAIN_S)
             return
@@ -168,3 +174,25 @@ class Lookup:
         if text != self._logged:
             self._logged = text
             logger.warning(text)
+
+
+def _zone_fault(host: str, port: str) -> str:
+    """Return what is wrong with the interface of an IPv6 address, and those here; empty if none.
+
+    An address of one link alone means another host at each interface.
+    """
+    plain, _, zone = host.partition("%")
+    try:
+        is_link_local = ipaddress.IPv6Address(plain).is_link_local
+    except ValueError:
+        return ""
+    interfaces = {str(number): name for number, name in socket.if_nameindex()}
+    if zone in interfaces or zone in interfaces.values() or not (zone or is_link_local):
+        return ""
+    lacks = f"no interface here is named {zone}" if zone else "lacks the interface that leads there"
+    names = list(interfaces.values())
+    example = next((name for name in names if not name.startswith("lo")), "eth0")
+    return (
+        f"[{host}] {lacks}: write tcp://[{plain}%{example}]:{port} or the like; interfaces here:"
+        f" {', '.join(names)}"
+    )

@@ -9,11 +9,11 @@ import zmq
 from display_node.reception.addresses import Lookup
 from display_node.reception.endpoint import FLOODED_NS, Endpoint
 from display_node.reception.failover import DataPath
-from display_node.reception.reachability import Reachability
+from display_node.reception.reachability import CONTROL_KINDS, Reachability
 from display_node.reception.timeouts import Timeouts, answer_timeout_ns
 from display_node.reception.turns import ControlTurns
 from protocol import sockets
-from protocol.refusals import Reason
+from protocol.refusals import HANDSHAKE, Reason
 from protocol.security.handshakes import ClientLink, HandshakeMonitor, Refusal
 from protocol.security.link_keys import ClientKeys
 from protocol.summary.fields import DataConnections, Reconnections
@@ -43,7 +43,8 @@ class Route:
         endpoints = [endpoint for path in self.paths for endpoint in path.endpoints]
         self.link = handshakes.watch([each.socket for each in endpoints], lambda: address)
         self.lookup = Lookup(address)
-        self.reachability = Reachability(address)
+        self.data_port = Reachability(address)
+        self.control_port = Reachability(sockets.control_address(address), CONTROL_KINDS)
         self.frames_first = 0
 
     @property
@@ -63,6 +64,10 @@ class Route:
         wanted = [path.poll(now_ns, found) for path in self.paths]
         if any(wanted) and found is None and not self.lookup.running:
             self.lookup.start()
+
+
+def _port_name(address: str) -> str:
+    return f"port {address.rpartition(':')[2]}" if address.startswith("tcp://") else address
 
 
 # After a pause of this process of at least this time, the first messages may be queued ones, which
@@ -121,8 +126,9 @@ class Connection:
         self._named: list[tuple[DataPath | Endpoint, str]] = [(self.control, "control")]
         self._named += [(endpoint, "control") for endpoint in self._further.endpoints]
         self._named += [(path, route.address) for route in self.routes for path in route.paths]
-        # Names of the endpoints whose flood was reported.
+        # Names of the endpoints whose flood was reported, and reports of a blocked port.
         self._flooded: set[str] = set()
+        self._named_blocks: set[str] = set()
 
     @property
     def reconnections(self) -> Reconnections:
@@ -198,13 +204,45 @@ class Connection:
     def close(self) -> None:
         """Withdraw what was requested beside ZeroMQ's sockets."""
         for route in self.routes:
-            route.reachability.close()
+            route.data_port.close()
+            route.control_port.close()
 
     def _reason(self, route: Route, now_ns: int) -> Reason:
-        if (refusal := self._refusal(route)) is not None:
+        data, control = route.data_port, route.control_port
+        refusal, is_program = self._refusal(route), data.found is not None and data.found.is_program
+        # What a program has sent says more than that it breaks off.
+        if refusal is not None and not (refusal.cause == HANDSHAKE and is_program):
             return refusal.reason
-        established = route.paths[0].first.socket in self.established
-        return route.reachability.reason(now_ns, established, route.lookup.failure)
+        if (blocked := self._blocked(route, now_ns)) is not None:
+            return blocked
+        if data.is_up(now_ns):
+            if self.control.given == route.address and not control.is_up(now_ns):
+                return control.reason()
+            return Reason(f"{route.address} is connected, but sends nothing")
+        return Reason(route.lookup.failure) if route.lookup.failure else data.reason()
+
+    def _blocked(self, route: Route, now_ns: int) -> Reason | None:
+        """Return what is wrong with one of an address's two ports while the other is connected."""
+        data, control = route.data_port, route.control_port
+        if self.control.given != route.address or data.is_up(now_ns) == control.is_up(now_ns):
+            return None
+        ports = [
+            f"data on {_port_name(route.address)}",
+            f"control on {_port_name(control.address)}",
+        ]
+        found = control.found
+        if control.is_up(now_ns):
+            found = data.found
+            ports.reverse()
+        if found is None:
+            return None
+        text = f"{route.address}: {ports[0]} is connected, {ports[1]} {found.at_port}"
+        further = "open or forward that port at the node, and in firewalls, routers and tunnels"
+        return Reason(text, further)
+
+    def has_data_link(self, now_ns: int) -> bool:
+        """Return whether the data port of any address is connected."""
+        return any(route.data_port.is_up(now_ns) for route in self.routes)
 
     def _refusal(self, route: Route) -> Refusal | None:
         """Return the present refusal of an address, by its data port or by its control port."""
@@ -217,11 +255,25 @@ class Connection:
         return self._handshakes.watch([endpoint.socket], lambda: endpoint.given)
 
     def _probe(self, route: Route, now_ns: int) -> None:
-        first, handshakes = route.paths[0].first, self._handshakes
-        connected, attempts = first.socket in handshakes.connected, handshakes.retried[first.socket]
+        handshakes, refusal = self._handshakes, self._refusal(route)
         # A refusal is the reason: a probe would find none, and count as a broken handshake.
-        place = first.address if self._refusal(route) is None else None
-        route.reachability.poll(now_ns, place, connected, attempts)
+        is_refused = refusal is not None and refusal.cause != HANDSHAKE
+        ports = [(route.data_port, route.paths[0].first)]
+        if self.control.given == route.address:
+            ports.append((route.control_port, self.control))
+        for port, endpoint in ports:
+            link = endpoint.socket
+            port.poll(
+                now_ns,
+                None if is_refused else endpoint.address,
+                connected=link in handshakes.connected,
+                established=link in self.established,
+                attempts=handshakes.retried[link],
+            )
+        blocked = self._blocked(route, now_ns)
+        if blocked is not None and str(blocked) not in self._named_blocks:
+            self._named_blocks.add(str(blocked))
+            logger.warning(str(blocked))
 
     def control_for(self, message: ControlMessage, now_ns: int) -> sockets.Socket:
         """Return the control connection for a message, which is sent now.

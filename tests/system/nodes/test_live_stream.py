@@ -72,7 +72,7 @@ def test_a_closed_stream_leaves_no_request_to_connect() -> None:
         with check_release("close"):
             stream = telepulse.connect(f"tcp://127.0.0.1:{listening.getsockname()[1]}")
             (route,) = stream._connection.routes
-            until(lambda: route.reachability._probe)
+            until(lambda: route.data_port._probe)
             stream.close()
 
 

@@ -88,7 +88,8 @@ NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
             " that it runs.",
         ),
         (
-            NOT_FELT | {"waiting_for": [Reason(f"{NOBODY.text} tcp://wrist:5555", NOBODY.further)]},
+            NOT_FELT
+            | {"waiting_for": [Reason("nobody listens at tcp://wrist:5555", NOBODY.further)]},
             "no pulse was felt; nobody listens at tcp://wrist:5555;"
             " start the sensing node there, or check the address.",
         ),

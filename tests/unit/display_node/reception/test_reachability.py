@@ -1,7 +1,9 @@
 """Why a sensing node is not reached, on real sockets of this machine, in virtual time."""
 
 import errno
+import os
 import socket
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,9 +11,9 @@ import pytest
 
 from display_node.reception.reachability import (
     AGAIN_NS,
+    CONTROL_KINDS,
     FIRST_NS,
     FLICKER_NS,
-    NO_NODE_NS,
     SILENT_NS,
     Reachability,
 )
@@ -29,14 +31,24 @@ def port() -> Iterator[int]:
         yield taken.getsockname()[1]
 
 
+def poll(
+    reach: Reachability,
+    now_ns: int,
+    place: str | None,
+    attempts: int = 0,
+    established: bool = False,
+) -> None:
+    reach.poll(now_ns, place, established, established, attempts)
+
+
 def refused(reach: Reachability, place: str, begin_ns: int = 0, attempts: int = 0) -> str:
     """Return the reason after a probe of `place` that fails, and twelve attempts of ZeroMQ."""
-    reach.poll(begin_ns, place, False, attempts)
-    reach.poll(begin_ns + FIRST_NS, place, False, attempts + 5)
+    poll(reach, begin_ns, place, attempts)
+    poll(reach, begin_ns + FIRST_NS, place, attempts + 5)
 
     def reason() -> str:
-        reach.poll(begin_ns + FIRST_NS, place, False, attempts + 12)
-        return reach.reason(begin_ns + FIRST_NS).text
+        poll(reach, begin_ns + FIRST_NS, place, attempts + 12)
+        return reach.reason().text
 
     until(lambda: "connecting" not in reason())
     return reason()
@@ -45,10 +57,10 @@ def refused(reach: Reachability, place: str, begin_ns: int = 0, attempts: int = 
 def test_at_a_port_without_a_listener_the_attempts_of_this_wait_are_counted(port: int) -> None:
     text = f"nobody listens at {HERE}, refused 12 times"
     reach = Reachability(HERE)
-    assert reach.reason(0).text == f"connecting to {HERE}"
+    assert reach.reason().text == f"connecting to {HERE}"
     assert refused(reach, f"tcp://127.0.0.1:{port}") == text
     again = Reachability(HERE)
-    again.poll(0, None, True, 100)
+    poll(again, 0, None, 100, established=True)
     assert refused(again, f"tcp://127.0.0.1:{port}", 60 * S, 100) == text
 
 
@@ -68,10 +80,10 @@ def test_a_host_that_does_not_answer_is_named_after_some_seconds(
     )
     place = "tcp://127.0.0.1:9"
     for now_ns in (0, FIRST_NS, FIRST_NS + SILENT_NS - 1):
-        reach.poll(now_ns, place, False, 3)
-        assert reach.reason(now_ns).text == f"connecting to {HERE}"
-    reach.poll(FIRST_NS + SILENT_NS, place, False, 3)
-    assert reach.reason(FIRST_NS + SILENT_NS).text == f"no answer from {HERE}"
+        poll(reach, now_ns, place, 3)
+        assert reach.reason().text == f"connecting to {HERE}"
+    poll(reach, FIRST_NS + SILENT_NS, place, 3)
+    assert reach.reason().text == f"no answer from {HERE}"
     reach.close()
 
 
@@ -83,27 +95,93 @@ def test_a_network_without_a_route_is_named(error: str, monkeypatch: pytest.Monk
     )
     reach = Reachability(HERE)
     for now_ns in (0, FIRST_NS, FIRST_NS + 1):
-        reach.poll(now_ns, "tcp://127.0.0.1:9", False, 3)
-    assert reach.reason(FIRST_NS + 1).text == f"no route to {HERE}"
+        poll(reach, now_ns, "tcp://127.0.0.1:9", 3)
+    assert reach.reason().text == f"no route to {HERE}"
 
 
-def test_a_name_that_is_not_found_is_the_reason() -> None:
-    reach = Reachability(HERE)
-    reach.poll(0, None, False, 0)
-    assert reach.reason(S, unknown_host="it is not found").text == "it is not found"
-
-
-def test_a_host_that_completes_no_handshake_is_no_node() -> None:
-    reach = Reachability(HERE)
-    reach.poll(0, None, True, 0)
-    assert reach.reason(NO_NODE_NS - 1).text == f"connecting to {HERE}"
-    # The connection is made anew meanwhile.
-    reach.poll(FLICKER_NS - 1, None, False, 0)
-    reach.poll(NO_NODE_NS, None, True, 0)
-    assert reach.reason(NO_NODE_NS).text == f"{HERE} answers, but is no node"
-    assert (
-        reach.reason(NO_NODE_NS, established=True).text == f"{HERE} is connected, but sends nothing"
+def test_an_address_that_cannot_be_asked_refuses_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "display_node.reception.reachability.ConnectionRequest.result", lambda probe: errno.EINVAL
     )
+    reach = Reachability(HERE)
+    for now_ns in (0, FIRST_NS, FIRST_NS + 1):
+        poll(reach, now_ns, "tcp://127.0.0.1:9")
+    assert reach.reason().text == f"cannot connect to {HERE}: {os.strerror(errno.EINVAL)}"
+
+
+def test_a_connection_that_is_made_anew_is_up_meanwhile() -> None:
+    reach = Reachability(HERE)
+    poll(reach, 0, None, established=True)
+    poll(reach, FLICKER_NS - 1, None)
+    assert reach.is_up(FLICKER_NS - 1)
+    assert not reach.is_up(FLICKER_NS)
+
+
+ZEROMQ = b"\xff" + 7 * b"\0" + b"\x01\x7f\x03\x01%b" + 32 * b"\0"
+NULL, CURVE = ZEROMQ % b"NULL".ljust(20, b"\0"), ZEROMQ % b"CURVE".ljust(20, b"\0")
+
+
+def ready(kind: bytes) -> bytes:
+    """Return the greeting and the first command of a ZeroMQ socket without security."""
+    return NULL + b"\x04\x20\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind
+
+
+NO_NODE = f"{HERE} answers, but is no node:"
+OTHER_KIND = f"{HERE} speaks ZeroMQ, but serves no data"
+
+
+@pytest.mark.parametrize(
+    ("answer", "text"),
+    [
+        (b"SSH-2.0-OpenSSH_9.2\r\n", f"{NO_NODE} it sends 'SSH-2.0-OpenSSH_9.2'"),
+        (b"HTTP/1.1 400 \x1b[2J{}\r\n", rf"{NO_NODE} it sends 'HTTP/1.1 400 \x1b[2J{{}}'"),
+        (b"", f"{HERE} breaks off as soon as it is connected"),
+        (None, f"{HERE} accepts connections, but does not answer"),
+        (ready(b"XPUB"), f"connecting to {HERE}"),
+        (ready(b"ROUTER"), OTHER_KIND),
+        (ready(b"REP"), OTHER_KIND),
+        # It is encrypted, so what it is shows by its not being connected until the next probe.
+        (CURVE, f"connecting to {HERE}"),
+    ],
+)  # fmt: skip
+def test_what_answers_is_known_by_its_answer(answer: bytes | None, text: str) -> None:
+    """A program that has said nothing is not named as no node."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        place, reach = f"tcp://127.0.0.1:{server.getsockname()[1]}", Reachability(HERE)
+        for round_ns in (0, AGAIN_NS):
+            poll(reach, round_ns, place)
+            poll(reach, round_ns + FIRST_NS, place)
+            with server.accept()[0] as program:
+                if answer is not None:
+                    poll(reach, round_ns + FIRST_NS, place)
+                    assert program.recv(100).startswith(b"\xff")
+                    program.sendall(answer)
+                    program.close()
+                poll_until_read(reach, round_ns + FIRST_NS, place, is_silent=answer is None)
+            again = round_ns and answer is CURVE
+            assert reach.reason().text == (OTHER_KIND if again else text)
+
+
+def poll_until_read(reach: Reachability, now_ns: int, place: str, is_silent: bool) -> None:
+    """Poll until the probe is read, or the time for an answer is over."""
+
+    def is_read() -> bool:
+        poll(reach, now_ns + is_silent * SILENT_NS, place)
+        return reach._probe is None
+
+    until(is_read)
+
+
+def test_a_control_port_is_one_of_its_own_kind() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        place = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        reach = Reachability(HERE, CONTROL_KINDS)
+        poll(reach, 0, place)
+        poll(reach, FIRST_NS, place)
+        with server.accept()[0] as program:
+            program.sendall(ready(b"ROUTER"))
+            poll_until_read(reach, FIRST_NS, place, is_silent=False)
+        assert reach.found is None
 
 
 def test_a_listener_is_probed_seldom() -> None:
@@ -112,7 +190,7 @@ def test_a_listener_is_probed_seldom() -> None:
         reach = Reachability(HERE)
         place = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         for now_ns in range(0, FIRST_NS + AGAIN_NS, S // 100):
-            reach.poll(now_ns, place, False, 0)
+            poll(reach, now_ns, place)
         server.accept()[0].close()
         server.settimeout(0.1)
         with pytest.raises(TimeoutError):
