@@ -12,12 +12,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from display_node.scoring.beats import Beat, find_beats
+    from display_node.scoring.beats import Beat
     from protocol.errors import TelepulseError
     from telepulse.live_stream import LiveStream, connect
     from telepulse.parallel import sweep
     from telepulse.recording.recorded_run import read_recording
-    from telepulse.run import ContactorRun, Run
+    from telepulse.run import ContactorRun, Run, find_beats
     from telepulse.sample_queue import StreamBlock
     from telepulse.scene import Scene, load_scene
     from telepulse.simulation.simulated_run import simulate
@@ -32,7 +32,7 @@ _MODULES: Final = {
     "StreamBlock": "telepulse.sample_queue",
     "TelepulseError": "protocol.errors",
     "connect": "telepulse.live_stream",
-    "find_beats": "display_node.scoring.beats",
+    "find_beats": "telepulse.run",
     "load_scene": "telepulse.scene",
     "read_recording": "telepulse.recording.recorded_run",
     "simulate": "telepulse.simulation.simulated_run",

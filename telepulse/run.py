@@ -1,30 +1,47 @@
 """A run as arrays: the force at the wrist, the target force at the finger, and the felt force."""
 
-from collections.abc import Sequence
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from display_node.scoring.beats import Beat, BeatAnalysis
 from display_node.scoring.error_sums import rms
 from display_node.scoring.tracking_error import Floats, compared_forces_n, interpolate
-from protocol.config.quantities import count_text
-from protocol.errors import OutputError
+from protocol.config.arguments import number
+from protocol.config.quantities import count_text, shown
+from protocol.errors import ArgumentError, OutputError, SourceError
 from protocol.summary.fields import RmsErrors, Summary
-from telepulse.columns import SessionColumns, join_ticks
+from protocol.wire.messages import ChannelSamples
+from telepulse.columns import Ints, SessionColumns, join_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
 
+logger = logging.getLogger(__name__)
+
 Mask = NDArray[np.bool_]
+Force = Literal["wrist_n", "target_n", "felt_n"]
 # Characters of a mark's text that a plot shows.
 MARK_SHOWN = 30
+# Samples a second of a pulse in which beats are found.
+SLOWEST_HZ, FASTEST_HZ = 20, 100_000
+# Times in ns are whole numbers of 64 bits.
+LATEST_S = 9e9
+# Ticks that are further apart belong to two parts, of which a run has one.
+LONGEST_GAP_NS: Final = 60_000_000_000
+# Rows without a tick that a run may have for each tick, and besides.
+GAP_ROWS_A_TICK, MOST_GAP_ROWS = 10, 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactorRun:
-    """Forces of one contactor over a run. The arrays have the shape (ticks,).
+    """Forces of one contactor over a run. The arrays have the shape (rows,).
 
     Attributes
     ----------
@@ -65,7 +82,10 @@ class ContactorRun:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Run:
-    """A run of a scene, simulated or recorded. The arrays have the shape (ticks,).
+    """A run of a scene, simulated or recorded. The arrays have the shape (rows,).
+
+    There are `rate_hz` rows a second, one for each tick of the display. A tick that the display
+    missed, or that a recording lacks, is a row as well: of NaN, neither `played` nor `predicted`.
 
     `wrist_n`, `target_n`, `felt_n`, `strain` and `wrist_strain` are those of the first contactor.
 
@@ -74,7 +94,7 @@ class Run:
     name : str
         Name of the scene, or of the recording's file.
     t_s : ndarray of float
-        Time of each tick since the first one, in s.
+        Time of each row since the first one, in s, in equal steps.
     delay_s : ndarray of float
         Perceived delay: how much earlier the played instant of the pulse was at the wrist, in s;
         NaN where none was played.
@@ -111,9 +131,14 @@ class Run:
         seconds = self.t_s[-1] if len(self.t_s) else 0.0
         contactors = ", ".join(filter(None, self.contactors)) or "one"
         return (
-            f"Run({self.name!r}, {seconds:.1f} s, {count_text(len(self.t_s), 'tick')},"
-            f" contactors: {contactors})"
+            f"Run({self.name!r}, {seconds:.1f} s, {count_text(len(self.t_s), 'tick')} at"
+            f" {self.rate_hz:g} Hz, contactors: {contactors})"
         )
+
+    @property
+    def rate_hz(self) -> float:
+        """Rows a second: the rate of the display's ticks. NaN for a run of one tick."""
+        return float(1 / self.t_s[1]) if len(self.t_s) > 1 else math.nan
 
     @property
     def first(self) -> ContactorRun:
@@ -157,6 +182,34 @@ class Run:
         compared_n = compared_forces_n(now_ns, instant_ns, now_ns, pulse_n, age_ns)
         return RmsErrors(*(rms((self.felt_n - n)[self.played]) for n in compared_n))
 
+    def beats(self, of: Force = "wrist_n", contactor: str | None = None) -> list[Beat]:
+        """Return the beats of a force, as `find_beats` does; their times are since the first row.
+
+        Parameters
+        ----------
+        of : "wrist_n", "target_n" or "felt_n"
+            The force, by the name of its array.
+        contactor : str, optional
+            Name of the contactor; by default the first one.
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such force or contactor.
+        """
+        if of not in (forces := get_args(Force)):
+            raise ArgumentError(f"of: must be one of {', '.join(forces)}, got {shown(of)}")
+        return find_beats(getattr(self._contactor(contactor), of), self.rate_hz)
+
+    def _contactor(self, name: str | None) -> ContactorRun:
+        """Return a contactor, by default the first one. Raises ArgumentError."""
+        if name is None:
+            return self.first
+        if name not in self.contactors:
+            known = ", ".join(map(repr, self.contactors))
+            raise ArgumentError(f"contactor: must be one of {known}, got {shown(name)}")
+        return self.contactors[name]
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by name; those of further contactors begin with their names."""
         found: dict[str, NDArray[Any]] = {
@@ -169,7 +222,7 @@ class Run:
         return found
 
     def to_dataframe(self) -> "pd.DataFrame":
-        """Return the columns as a pandas DataFrame, one row a tick.
+        """Return the columns as a pandas DataFrame.
 
         Raises
         ------
@@ -249,25 +302,97 @@ class Run:
         return grid
 
 
-def build_run(name: str, sessions: Sequence[SessionColumns], summary: Summary) -> Run:
-    """Return the run of some sessions, with the contactors that play the last one."""
-    names = list(sessions[-1].playing)
-    now_ns, sensing_ns, instant_ns, playing, full, predicted = (
+class TickGrid:
+    """Rows of equal time, one for each tick, with gaps where ticks are missing.
+
+    The display keeps its ticks to a grid of its period, so that the least time between two of them
+    is the period. Ticks of another start of the display, a long time later or on a clock that has
+    begun anew, have no place on it: the longest part is used.
+
+    Raises SourceError where the rows would be far more than the ticks.
+    """
+
+    def __init__(self, path: Path, now_ns: Ints) -> None:
+        steps_ns = np.diff(now_ns)
+        ends = np.flatnonzero((steps_ns <= 0) | (steps_ns > LONGEST_GAP_NS)) + 1
+        parts = np.split(np.arange(len(now_ns)), ends)
+        #: Places of the part's ticks among all.
+        self.used = max(parts, key=len)
+        if len(self.used) < len(now_ns):
+            logger.warning(
+                f"{path}: its ticks are in {len(parts)} parts, more than"
+                f" {LONGEST_GAP_NS * 1e-9:g} s apart or of different clocks; the arrays have the"
+                f" longest one, {len(self.used)} of {count_text(len(now_ns), 'tick')}"
+            )
+        used_ns = now_ns[self.used]
+        self.begin_ns = int(used_ns[0]) if len(used_ns) else 0
+        self.period_ns = int(np.diff(used_ns).min(initial=LONGEST_GAP_NS))
+        # No two ticks share a row: they are a period apart or more.
+        self._rows = (used_ns - self.begin_ns + self.period_ns // 2) // self.period_ns
+        self.length = int(self._rows[-1]) + 1 if len(used_ns) else 0
+        missing = self.length - len(used_ns)
+        if missing > GAP_ROWS_A_TICK * len(used_ns) + MOST_GAP_ROWS:
+            raise SourceError(
+                f"{path}: has {count_text(len(used_ns), 'tick')}, of which some are"
+                f" {self.period_ns} ns apart, in {self.length * self.period_ns * 1e-9:.0f} s: too"
+                " few for arrays of equal steps; export it to csv"
+            )
+
+    def place(self, values: NDArray[Any], missing: Any) -> NDArray[Any]:
+        """Return the values of all ticks at the rows of the used ones, `missing` in the others."""
+        placed = np.full(self.length, missing, values.dtype)
+        placed[self._rows] = values[self.used]
+        return placed
+
+
+def build_run(
+    path: Path,
+    sessions: Sequence[SessionColumns],
+    summary: Summary,
+    about: Mapping[str, str] = {},
+    marks: Sequence[tuple[int, str]] = (),
+) -> Run:
+    """Return the run of some sessions, with the contactors that play the last one.
+
+    path: of the scene or the recording. about: what was stated about the run. marks: Unix time and
+    text of each. Raises SourceError where the ticks cannot be placed on a grid.
+    """
+    now_ns, unix_ns, sensing_ns, instant_ns, playing, full, predicted = (
         join_ticks(sessions, column)
-        for column in ("now_ns", "sensing_ns", "instant_ns", "playing", "full", "predicted")
+        for column in (
+            *("now_ns", "unix_ns", "sensing_ns", "instant_ns"),
+            *("playing", "full", "predicted"),
+        )
     )
+    grid = TickGrid(path, now_ns)
+    delay_s: Floats = np.where(playing, (sensing_ns - instant_ns) * 1e-9, np.nan)
     return Run(
-        name,
-        (now_ns - now_ns[:1]) * 1e-9,
-        np.where(playing, (sensing_ns - instant_ns) * 1e-9, np.nan),
-        full,
-        predicted,
-        {contactor: _contactor_run(contactor, sessions) for contactor in names},
+        path.stem,
+        np.arange(grid.length, dtype=np.float64) * grid.period_ns * 1e-9,
+        grid.place(delay_s, np.nan),
+        grid.place(full, False),
+        grid.place(predicted, False),
+        {
+            contactor: _contactor_run(contactor, sessions, grid)
+            for contactor in sessions[-1].playing
+        },
         summary,
+        dict(about),
+        sorted(_timed(marks, unix_ns[grid.used], now_ns[grid.used])),
     )
 
 
-def _contactor_run(name: str, sessions: Sequence[SessionColumns]) -> ContactorRun:
+def _timed(
+    marks: Sequence[tuple[int, str]], unix_ns: Ints, now_ns: Ints
+) -> Iterator[tuple[float, str]]:
+    """Yield the marks by the display's clock, in s since the first of some ticks."""
+    for mark_ns, text in marks if len(now_ns) else ():
+        tick = max(0, int(np.searchsorted(unix_ns, mark_ns, "right")) - 1)
+        after_ns = mark_ns - unix_ns[tick]
+        yield float(now_ns[tick] + after_ns - now_ns[0]) * 1e-9, text
+
+
+def _contactor_run(name: str, sessions: Sequence[SessionColumns], grid: TickGrid) -> ContactorRun:
     """Return the forces of a contactor; NaN in sessions that it did not play."""
     wrist_n, forces_n = list[Floats](), list[tuple[Floats, Floats]]()
     for session in sessions:
@@ -282,10 +407,99 @@ def _contactor_run(name: str, sessions: Sequence[SessionColumns]) -> ContactorRu
     last = sessions[-1].playing[name]
     return ContactorRun(
         name,
-        np.concatenate(wrist_n),
-        target_n,
-        felt_n,
+        grid.place(np.concatenate(wrist_n), np.nan),
+        grid.place(target_n, np.nan),
+        grid.place(felt_n, np.nan),
         last.force_ratio,
         last.strain_per_newton,
         last.film_age_ns * 1e-9,
     )
+
+
+def find_beats(
+    force_n: "Floats | Run", rate_hz: float | None = None, *, t_s: Floats | None = None
+) -> list[Beat]:
+    """Return the beats of a pulse, as a display finds them.
+
+    Parameters
+    ----------
+    force_n : ndarray of float, or Run
+        Force or pressure, shape (samples,); NaN where it is unknown. Heights have the unit of the
+        values. Light falls with each beat: give its negative. Of a `Run`, which states its rate,
+        the force at the wrist is searched: `Run.beats` without arguments.
+    rate_hz : float, optional
+        Samples a second of an array at equal intervals, 20 to 100 000.
+    t_s : ndarray of float, optional
+        In place of `rate_hz`, the rising times of the samples in s, shape (samples,). Their usual
+        interval is that of such a rate.
+
+    Returns
+    -------
+    list of Beat
+        Times in ns: since the first sample, or on the clock of `t_s`. The search begins anew after
+        a gap of 0.1 s. The first and the last beat are not complete, and missing.
+
+    Raises
+    ------
+    ArgumentError
+        If an argument is not as above. It is a ValueError as well.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import telepulse
+    >>> t_s = np.arange(0, 20, 0.004)
+    >>> beats = telepulse.find_beats(np.sin(2 * np.pi * 1.25 * t_s) ** 4, 250)
+    >>> print(f"{np.median([beat.interval_s for beat in beats]):.2f} s")
+    0.40 s
+    """
+    if isinstance(force_n, Run):
+        if rate_hz is not None or t_s is not None:
+            raise ArgumentError("force_n: a Run states its rate; give no rate_hz or t_s with it")
+        return force_n.beats()
+    forces_n = _numbers("force_n", force_n)
+    times_ns, period_ns = _sample_times(len(forces_n), rate_hz, t_s)
+    analysis, beats = BeatAnalysis(), list[Beat]()
+    # Held for a second after the last sample, so that it is averaged as well.
+    held_ns = times_ns[-1:, np.newaxis] + np.arange(0, 1_000_000_000, period_ns) + period_ns
+    times_ns = np.concatenate([times_ns, held_ns.ravel()])
+    forces_n = np.concatenate([forces_n, np.repeat(forces_n[-1:], held_ns.size)])
+    known = np.isfinite(forces_n)
+    # Frames of about 0.1 s: levels are those of the last seconds before a frame's end.
+    ends = np.arange(0, len(forces_n), math.ceil(1e8 / period_ns))[1:]
+    ends = np.union1d(ends, np.flatnonzero(np.diff(known)) + 1)
+    ends = np.union1d(ends, np.flatnonzero(np.diff(times_ns) > 1.5 * period_ns) + 1)
+    for samples in np.split(np.arange(len(forces_n)), ends):
+        if len(samples) and known[samples[0]]:
+            frame_ns, frame_n = times_ns[samples].tolist(), forces_n[samples].tolist()
+            beats += analysis.observe(ChannelSamples(int(samples[0]), period_ns, frame_ns, frame_n))
+    return beats
+
+
+def _numbers(name: str, values: object) -> Floats:
+    """Return an array of numbers of one dimension. Raises ArgumentError."""
+    try:
+        numbers = np.asarray(values, np.float64)
+    except (ValueError, TypeError) as error:
+        raise ArgumentError(f"{name}: must be an array of numbers: {error}") from None
+    if numbers.ndim != 1:
+        raise ArgumentError(f"{name}: must have one dimension, got the shape {numbers.shape}")
+    return numbers
+
+
+def _sample_times(count: int, rate_hz: float | None, t_s: object) -> tuple[Ints, int]:
+    """Return the time of each sample and the usual one between two, in ns. Raises ArgumentError."""
+    if (rate_hz is None) == (t_s is None):
+        raise ArgumentError("rate_hz: give the samples a second, or their times as t_s, not both")
+    if t_s is None:
+        period_ns = round(1e9 / number("rate_hz", rate_hz, SLOWEST_HZ, FASTEST_HZ))
+        return np.arange(count) * period_ns, period_ns
+    times_s = _numbers("t_s", t_s)
+    if len(times_s) != count:
+        raise ArgumentError(f"t_s: must have the {count} values of force_n, got {len(times_s)}")
+    steps_s = np.diff(times_s)
+    if not (np.abs(times_s) < LATEST_S).all() or not (steps_s > 0).all():
+        raise ArgumentError("t_s: must be finite times in s, each later than the one before")
+    usual_s = float(np.median(steps_s)) if len(steps_s) else 1 / SLOWEST_HZ
+    number("t_s: samples a second", 1 / usual_s, SLOWEST_HZ, FASTEST_HZ)
+    return np.rint(times_s * 1e9).astype(np.int64), round(usual_s * 1e9)

@@ -5,7 +5,6 @@ The pulse is averaged over steps of 5 ms (`step_means.py`), in which the beats a
 pieces, one a frame: a display observes the pulse in the thread of its force loop.
 """
 
-import math
 from collections import deque
 from typing import NamedTuple
 
@@ -15,9 +14,7 @@ from numpy.typing import NDArray
 from display_node.scoring.beat_quality import AFTER, BEFORE, GOOD, BeatShape, ShapeMemory
 from display_node.scoring.rises import FEWEST, LONGEST, MOST, RISE, RiseDetector
 from display_node.scoring.step_means import STEP_NS, STEP_S, StepMeans
-from protocol.config.arguments import number
-from protocol.errors import ArgumentError
-from protocol.wire.messages import ChannelSamples, channel_samples
+from protocol.wire.messages import ChannelSamples
 
 Floats = NDArray[np.float64]
 # Time within which a crossing is followed by its steepest step.
@@ -228,48 +225,3 @@ def _notch(wave: Floats, peak: int, height_n: float) -> float | None:
         if smooth[at : at + RISE].max() - smooth[at] > NOTCH_SHARE * height_n:
             return _vertex(smooth, at)
     return None
-
-
-def find_beats(force_n: Floats, rate_hz: float) -> list[Beat]:
-    """Return the beats of a pulse, as a display finds them.
-
-    Parameters
-    ----------
-    force_n : ndarray of float
-        Force or pressure at equal intervals, shape (samples,); NaN where it is unknown. Heights
-        have the unit of the values. Light falls with each beat: give its negative.
-    rate_hz : float
-        Samples a second, 20 to 100 000.
-
-    Returns
-    -------
-    list of Beat
-        Times in ns since the first sample. The search begins anew after a gap of 0.1 s. The first
-        and the last beat are not complete, and missing.
-
-    Raises
-    ------
-    ArgumentError
-        If the rate or the array is not as above. It is a ValueError as well.
-    """
-    rate_hz = number("rate_hz", rate_hz, 20, 100_000)
-    try:
-        force_n = np.asarray(force_n, np.float64)
-    except (ValueError, TypeError) as error:
-        raise ArgumentError(f"force_n: must be an array of numbers: {error}") from None
-    if force_n.ndim != 1:
-        raise ArgumentError(f"force_n: must have one dimension, got the shape {force_n.shape}")
-    period_ns, analysis, beats = round(1e9 / rate_hz), BeatAnalysis(), list[Beat]()
-    # Held after the last sample, so that it is averaged as well.
-    padded = np.concatenate([force_n, np.repeat(force_n[-1:], math.ceil(rate_hz))])
-    known = np.isfinite(padded)
-    # Frames of about 0.1 s: levels are those of the last seconds before a frame's end.
-    ends = np.arange(0, len(padded), math.ceil(0.1 * rate_hz))[1:]
-    ends = np.union1d(ends, np.flatnonzero(np.diff(known)) + 1)
-    for samples in np.split(np.arange(len(padded)), ends):
-        if len(samples) and known[samples[0]]:
-            first, forces_n = int(samples[0]), padded[samples].tolist()
-            beats += analysis.observe(
-                channel_samples(first, first * period_ns, period_ns, forces_n)
-            )
-    return beats

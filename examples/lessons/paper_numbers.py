@@ -51,9 +51,9 @@ from scipy.signal import welch
 import telepulse
 
 on_model = telepulse.simulate("paper", seconds=20)
-pulse_n = on_model.wrist_n[~np.isnan(on_model.wrist_n)][:15_000]
+pulse_n = on_model.wrist_n[~np.isnan(on_model.wrist_n)][: int(15 * on_model.rate_hz)]
 pulse_n += 0.034 * pulse_n.std() - pulse_n.mean()
-hz, power = welch(pulse_n, 1000, "hamming", 3333, 1666, 4096, detrend=False)
+hz, power = welch(pulse_n, on_model.rate_hz, "hamming", 3333, 1666, 4096, detrend=False)
 shares = np.cumsum(power) / power.sum()
 published = {20.0: 0.997, 10.0: 0.894, 5.0: 0.574, 1.0: 0.124, 0.4: 0.048}
 for below_hz, share in published.items():

@@ -68,24 +68,27 @@ signal = edfio.EdfSignal(-light, RATE_HZ, label="PLETH", physical_dimension="NU"
 edfio.Edf([signal]).write(folder / "oximeter.edf")
 source = {"kind": "recording", "path": str(folder / "oximeter.edf")}
 of_record = telepulse.simulate("radial", seconds=10, sensing={"source": source})
-beats = telepulse.find_beats(of_record.wrist_n, 1000)
+beats = of_record.beats()
 print(f"median height at the wrist {np.median([beat.height_n for beat in beats]):.2f} N")
+print(f"median rate {60 / np.median([beat.interval_s for beat in beats]):.0f} /min")
 
 # %%
 # The figures
 # -----------
-# ``summary`` has what the nodes print. ``to_dataframe`` has the arrays, one row for each tick.
+# ``summary`` has what the nodes print. ``to_dataframe`` has the arrays, ``rate_hz`` rows a second.
 
 errors = run.summary.force_rmse_n
 print(f"aligned {1e3 * errors.aligned:.2f} mN, in phase {1e3 * errors.in_phase:.2f} mN")
 frame = run.to_dataframe()
-print(frame[["t_s", "wrist_n", "felt_n", "delay_s", "predicted"]].iloc[20_000::5_000])
+rows = round(5 * run.rate_hz)
+print(frame[["t_s", "wrist_n", "felt_n", "delay_s", "predicted"]].iloc[rows::rows])
 
 # %%
 # Beat by beat
 # ------------
 # ``find_beats`` is what a display shows of each beat, for any array: onset, systolic peak,
-# dicrotic notch, height, and a quality from 0 to 1 by its likeness to the beats before.
+# dicrotic notch, height, and a quality from 0 to 1 by its likeness to the beats before. Of a run,
+# ``beats`` finds them.
 
 beats = telepulse.find_beats(-light, RATE_HZ)
 for beat in beats[10:15]:

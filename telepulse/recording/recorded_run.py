@@ -1,16 +1,11 @@
 """Reading of a recording into arrays."""
 
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from protocol.config.arguments import file_path
 from protocol.errors import SourceError
 from protocol.summary.fields import Summary
-from telepulse.columns import join_ticks
-from telepulse.recording.contents import RecordingContents, read_contents
+from telepulse.recording.contents import read_contents
 from telepulse.recording.mcap_reader import RecordingReader, reading
 from telepulse.run import Run, build_run
 from telepulse.telemetry.decoder import MARK_EVENT
@@ -29,35 +24,27 @@ def read_recording(path: Path | str) -> Run:
     Returns
     -------
     Run
-        The arrays have one value for each recorded tick of the display. The force at the wrist is
-        the received one. `summary` is the display's last recorded one, which covers its whole run:
-        also the time before the recording. `force_rmse_n` is of the arrays. `about` and `marks`
-        are those of the recording.
+        The arrays have one row for each tick of the display, of NaN where a tick is missing. Of
+        ticks that are more than a minute apart, they have the longest part; the rest is logged as
+        a warning. The force at the wrist is the received one. `summary` is the display's last
+        recorded one, which covers its whole run: also the time before the recording.
+        `force_rmse_n` is of the arrays. `about` and `marks` are those of the recording.
 
     Raises
     ------
     ArgumentError
         If the path is none.
     SourceError
-        If the file is no recording of a display, or mcap is not installed.
+        If the file is no recording of a display, its ticks are too few for equal steps, or mcap is
+        not installed.
     """
     path = file_path("path", path)
     reader = RecordingReader(path)
     contents = read_contents(reader)
+    marks = [(each.unix_ns, each.text) for each in contents.events if each.name == MARK_EVENT]
     with reading(path):
-        run = build_run(path.stem, contents.sessions, contents.summary or Summary())
-        run = replace(run, about=reader.about, marks=sorted(_timed_marks(contents)))
+        run = build_run(path, contents.sessions, contents.summary or Summary(), reader.about, marks)
     reader.log_gaps()
     if not (run.contactors and len(run.t_s)):
         raise SourceError(f"{path}: holds no tick of a display that played a stream")
     return run
-
-
-def _timed_marks(contents: RecordingContents) -> Iterator[tuple[float, str]]:
-    """Yield the marks by the display's clock, in s since the first tick."""
-    now_ns, unix_ns = (join_ticks(contents.sessions, column) for column in ("now_ns", "unix_ns"))
-    for event in contents.events:
-        if event.name == MARK_EVENT and len(now_ns):
-            tick = max(0, int(np.searchsorted(unix_ns, event.unix_ns, "right")) - 1)
-            after_ns = event.unix_ns - unix_ns[tick]
-            yield float(now_ns[tick] + after_ns - now_ns[0]) * 1e-9, event.text

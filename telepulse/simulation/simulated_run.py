@@ -47,7 +47,7 @@ def simulate(
     Returns
     -------
     Run
-        The arrays have one value for each tick of the display. The force at the wrist is the true
+        The arrays have one row for each tick of the display. The force at the wrist is the true
         one, without the noise of the sensing chain.
 
     Raises
@@ -91,7 +91,7 @@ def simulate(
         contactor.name: contactor.playback(channel)
         for contactor, channel in zip(node.contactors, node.receiver.channel_numbers, strict=False)
     }
-    return build_run(scene.path.stem, [session], simulation.end())
+    return build_run(scene.path, [session], simulation.end())
 
 
 SESSION, PRESS = 7, 11

@@ -35,16 +35,18 @@ def record(
     marks: Mapping[int, str] = {},
     about: dict[str, str] | None = None,
     whole_run: Mapping[str, Any] = {},
+    missed: Container[int] = (),
 ) -> None:
     """Record a pulse that is felt 40 ms later, without the frames of the numbers in `lost`.
 
-    marks: texts by tick. about: what a person states. whole_run: tables of the display's summary.
+    missed: ticks that the display missed. marks: texts by tick. about: what a person states.
+    whole_run: tables of the display's summary.
     """
     force_n = synthetic().take(seconds * 1000)[:, 0].astype("<f4")
     writer = McapWriter(path)
     if about is not None:
         writer.state(about)
-    for tick, entries in _telemetry(force_n, lost, whole_run):
+    for tick, entries in _telemetry(force_n, lost, whole_run, missed):
         for entry in entries:
             writer.add(entry)
         for at, text in marks.items():
@@ -57,7 +59,7 @@ def record(
 
 
 def _telemetry(
-    force_n: Samples, lost: Container[int], whole_run: Mapping[str, Any]
+    force_n: Samples, lost: Container[int], whole_run: Mapping[str, Any], missed: Container[int]
 ) -> Iterator[tuple[int, list[Entry]]]:
     """Yield entries, with the number of ticks until then."""
     telemetry = HandmadeTelemetry()
@@ -68,7 +70,7 @@ def _telemetry(
         for tick in ticks:
             messages = _arriving(tick, force_n, lost)
             yield tick, telemetry.receive(*messages, at_ns=BEGIN_NS + tick * TICK_NS)
-        yield end, telemetry.ticks(*(_felt(tick, force_n) for tick in ticks))
+        yield end, telemetry.ticks(*(_felt(tick, force_n) for tick in ticks if tick not in missed))
         if end % STATUS_TICKS == 0:
             yield end, telemetry.status("playing", **whole_run)
     yield len(force_n), telemetry.status("ended", final=True, **whole_run)

@@ -15,6 +15,7 @@ from protocol.errors import AddressError, ArgumentError, SceneError
 api: Any = telepulse
 ADDRESS = "tcp://127.0.0.1:5555"
 WAVE = np.zeros(100)
+RUN = api.simulate("radial", seconds=0.5, display={"predictor": "linear"})
 CASES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: api.simulate(None), ArgumentError, "scene: must be a name or .*, got None"),
     (lambda: api.load_scene(b"radial"), ArgumentError, "scene: must be .*, got b'radial'"),
@@ -37,6 +38,22 @@ CASES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: api.read_recording(None), ArgumentError, "path: must be the path .*, got None"),
     (lambda: api.find_beats(WAVE, "5"), ArgumentError, "rate_hz: must be a number .*, got '5'"),
     (lambda: api.find_beats(["a"], 100), ArgumentError, "force_n: must be an array of numbers"),
+    (lambda: api.find_beats(WAVE), ArgumentError, "rate_hz: give the samples a second, or their"),
+    (lambda: api.find_beats(WAVE, 100, t_s=WAVE), ArgumentError, "rate_hz: give .*, not both"),
+    (
+        lambda: api.find_beats(WAVE, t_s=[1]),
+        ArgumentError,
+        "t_s: must have the 100 values",
+    ),
+    (lambda: api.find_beats(WAVE, t_s=WAVE), ArgumentError, "t_s: must be .* later than the one"),
+    (
+        lambda: api.find_beats(WAVE, t_s=np.arange(100)),
+        ArgumentError,
+        "t_s: samples a second: must be a number from 20 to 100000, got 1.0",
+    ),
+    (lambda: RUN.beats("force_n"), ArgumentError, "of: must be one of wrist_n, .*, got 'force_n'"),
+    (lambda: RUN.beats(contactor="x"), ArgumentError, "contactor: must be one of 'channel 0', got"),
+    (lambda: api.find_beats(RUN, 500), ArgumentError, "force_n: a Run states its rate; give no"),
     (lambda: api.sweep(math.sqrt, 5), ArgumentError, "cases: must be a list or .*, got 5"),
 ]
 

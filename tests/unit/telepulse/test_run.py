@@ -9,6 +9,7 @@ from matplotlib import pyplot as plt
 
 import telepulse
 from protocol.summary.fields import Availability, RmsErrors
+from telepulse.run import TickGrid
 from tests.support.recordings import GAIN, record
 
 LINK = "delay=40ms,jitter=10ms,loss=1%"
@@ -82,6 +83,63 @@ def test_the_errors_of_a_recording_are_of_its_ticks_and_its_summary_of_the_whole
     assert 0.02 < run.force_rmse_n.in_phase < 0.05
     never = replace(run, played=np.zeros_like(run.played))
     assert never.force_rmse_n == RmsErrors(None, None)
+
+
+def test_a_run_states_its_rate_and_finds_its_beats() -> None:
+    run = telepulse.simulate("radial", seconds=8, display={"predictor": "linear"})
+    assert run.rate_hz == 500
+    assert "at 500 Hz" in repr(run)
+    beats = run.beats()
+    per_min = [60 / beat.interval_s for beat in beats]
+    assert np.median(per_min) == pytest.approx(run.summary.beats.rate_per_min, rel=0.02)
+    assert telepulse.find_beats(run) == beats
+    timed = telepulse.find_beats(run.wrist_n, t_s=run.t_s)
+    assert [beat.onset_ns for beat in timed] == [beat.onset_ns for beat in beats]
+    later = telepulse.find_beats(run.wrist_n, t_s=run.t_s + 100)
+    assert [b.onset_ns for b in later] == pytest.approx([b.onset_ns + 1e11 for b in beats], abs=5e6)
+    felt = run.beats("felt_n", run.first.name)
+    # The felt pulse goes on for one beat more, when the stream has ended.
+    assert felt[-2].onset_ns == pytest.approx(beats[-1].onset_ns, abs=60e6)
+
+
+def test_ticks_that_a_recording_lacks_are_rows_of_nan(tmp_path: Path) -> None:
+    record(tmp_path / "whole.mcap", 12)
+    # Single ticks, as a busy computer misses them, and a pause.
+    missed = {*range(3, 12_000, 7), *range(6_000, 6_500)}
+    record(tmp_path / "run.mcap", 12, missed=missed, marks={8_000: "cuff on"})
+    whole, run = (telepulse.read_recording(tmp_path / f"{name}.mcap") for name in ("whole", "run"))
+    assert run.rate_hz == 1000
+    np.testing.assert_array_equal(run.t_s, whole.t_s)
+    here = np.array([tick in missed for tick in range(12_000)])
+    for key in ("wrist_n", "felt_n", "delay_s"):
+        assert np.isnan(getattr(run, key)[here]).all()
+        np.testing.assert_array_equal(getattr(run, key)[~here], getattr(whole, key)[~here])
+    assert not run.played[here].any()
+    assert [at_s for at_s, _ in run.marks] == pytest.approx([8.0])
+    # Before the pause the beats are the same; in it there is none.
+    onsets_s, expected_s = ([b.onset_ns * 1e-9 for b in each.beats()] for each in (run, whole))
+    assert sum(each < 5 for each in onsets_s) >= 3
+    early_s = [each for each in expected_s if each < 5]
+    assert onsets_s[: len(early_s)] == pytest.approx(early_s, abs=2e-3)
+    assert not any(6.0 < each < 6.5 for each in onsets_s)
+
+
+def test_of_ticks_with_a_long_pause_the_longest_part_is_read(
+    tmp_path: Path, logged: list[str]
+) -> None:
+    record(tmp_path / "run.mcap", 70, missed=range(2_000, 64_000))
+    run = telepulse.read_recording(tmp_path / "run.mcap")
+    assert (len(run.t_s), run.rate_hz) == (6_000, 1000)
+    assert run.played.all()
+    (line,) = logged
+    assert "ticks are in 2 parts" in line
+    assert "6000 of 8000 ticks" in line
+
+
+def test_ticks_that_would_take_far_more_rows_are_refused() -> None:
+    now_ns = np.cumsum([0, 100_000, *[50_000_000_000] * 20])
+    with pytest.raises(telepulse.TelepulseError, match=r"^x\.mcap: has 22 ticks, .* too few"):
+        TickGrid(Path("x.mcap"), now_ns)
 
 
 def test_a_recording_has_its_marks_and_what_was_stated(tmp_path: Path) -> None:

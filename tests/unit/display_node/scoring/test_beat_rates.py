@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from display_node.scoring.beat_statistics import BeatStatistics, pulse_alarm
-from display_node.scoring.beats import find_beats
 from display_node.scoring.heart_rate import heart_rate_per_min
 from protocol.summary.fields import BeatFigures
 from sensing_node.sources.heart import NOMINAL_BEAT_S
 from sensing_node.sources.synthetic import PRESETS, Wave
+from telepulse import find_beats
 from tests.support.drawn_beats import samples
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from display_node.scoring.beat_quality import GOOD
-from display_node.scoring.beats import find_beats
+from telepulse import find_beats
 from tests.support.drawn_beats import (
     BEGIN_NS,
     FOUND_FROM_S,

@@ -3,10 +3,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from display_node.scoring.beats import find_beats
 from protocol.config.scene import validate
 from protocol.errors import SceneError
 from sensing_node.sources.wrist import Wrist, WristScene
+from telepulse import find_beats
 
 
 def wrist(**keys: Any) -> Wrist:
