@@ -6,14 +6,14 @@ in the terminal that has.
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from rich.console import Console
 
 from protocol.cli_options import fault_status, sum_up
-from protocol.faults import texts_by_part
+from protocol.faults import Note, texts_by_part
 from protocol.provenance import Provenance
 from protocol.refusals import CAUSE_MEANINGS
 from protocol.summary.fields import Limits, Summary
@@ -210,10 +210,7 @@ def _wrong(summary: Summary) -> Iterator[str]:
             f"This computer was too busy: in the worst 5 s {_percent(worst.missed)} of the ticks"
             f" were missed; {DOCTOR}."
         )
-    names = ("The film's sensor", "The sensing node", "The recorder")
-    for of, texts in zip(names, texts_by_part(summary.notes), strict=True):
-        if texts:
-            yield f"{of}: {'; '.join(texts)}."
+    yield from note_lines(summary.notes)
     for name, figures in summary.of_each_contactor().items():
         of = f" at {name}" if name else ""
         if figures.within_jnd is not None and figures.within_jnd < 1 - NOTICED:
@@ -230,6 +227,14 @@ def _wrong(summary: Summary) -> Iterator[str]:
         if refused := _unusual(rejected):
             others = refused.total() - max(refused.values())
             yield f"{who}: {_most(refused)}{f', and {others} others' if others else ''}."
+
+
+def note_lines(notes: Iterable[Note]) -> Iterator[str]:
+    """Yield a line on each part of which there are notes."""
+    names = ("The film's sensor", "The sensing node", "The recorder")
+    for of, texts in zip(names, texts_by_part(notes), strict=True):
+        if texts:
+            yield f"{of}: {'; '.join(texts)}."
 
 
 def _limits(limits: Limits, of: str) -> Iterator[str]:

@@ -11,6 +11,7 @@ import rich.box
 import typer
 from rich.table import Table
 
+from display_node.verdict import note_lines
 from protocol.cli_options import one_line_errors, plain_console
 from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError
@@ -96,8 +97,11 @@ def record(
         provenance = scene_provenance(scene, {"link": seed})
         with SimulationProgress(len(PLAYOUTS) * seconds) as progress:
             study = study_record(scene, seconds, seed, progress.add)
+        title = f"{file.name} over {link or 'a link without delay'}"
         if plot is not None and figure is not None:
             _draw(study, figure)
+            # As it is: "$" begins no formula.
+            figure.suptitle(title, parse_math=False)
             written = io.StringIO()
             figure.savefig(written, format="svg")
             write_whole(plot, written.getvalue())
@@ -105,9 +109,11 @@ def record(
             origin = {"link": link, "provenance": provenance.to_dict()}
             write_whole(json, jsons.dumps(study.to_dict() | origin, indent=2) + "\n")
     console.print(
-        f"{file.name} over {link or 'a link without delay'}: {study.seconds:g} s, of which the"
-        f" first {LEARNING_S:g} s to learn; the usual beat is {1e3 * study.height_n:.0f} mN high"
+        f"{title}: {study.seconds:g} s, of which the first {LEARNING_S:g} s to learn; the usual"
+        f" beat is {1e3 * study.height_n:.0f} mN high"
     )
+    for line in note_lines(study.notes):
+        console.print(line, markup=False)
     for table in _tables(study):
         # Numbers are never cut, however narrow the terminal is.
         console.print(table, width=max(console.width, WIDEST), crop=False)
@@ -185,6 +191,8 @@ def _draw(study: RecordStudy, figure: "Figure") -> None:
     for axes in (left, right):
         axes.axhline(100 * JND, color="0.4", ls=":", lw=1)
         axes.legend()
+    left.set_title("Prediction ahead of the newest sample")
+    right.set_title("Felt at the finger")
     left.set(xlabel="ahead of the newest sample (ms)", ylabel="RMS error (% of a beat's height)")
     right.set_xlabel("dotted: what a finger notices")
 

@@ -12,8 +12,11 @@ from display_node.prediction.r_waves import RWaveDetector
 from display_node.prediction.scene import own_predictor
 from display_node.prediction.trust import DelayChoice
 from protocol.errors import SourceError
+from protocol.faults import Note
 from protocol.tactile import JND, matching_force_ratio
 from protocol.ticks import TickState
+from pulse_sensors.sample_plausibility import SampleCheck
+from sensing_node.feeds import sensor_notes
 from sensing_node.scene import build_source, describe_stream
 from sensing_node.sources.recorded import beat_height
 from telepulse.scene import Scene
@@ -66,13 +69,14 @@ class RecordStudy:
     """Results of a study. Forces are those at the finger.
 
     seconds: of the recording that were used, the first `LEARNING_S` of them unscored. height_n: of
-    a usual beat.
+    a usual beat. notes: what is doubtful in the recording, such as gaps that were filled.
     """
 
     seconds: float
     height_n: float
     ahead: tuple[ErrorAhead, ...]
     playouts: tuple[FeltPlayout, ...]
+    notes: tuple[Note, ...]
 
     @property
     def advice(self) -> str:
@@ -135,6 +139,8 @@ def study_record(
     ratio = matching_force_ratio(scene.sensing.layer.layer(), scene.display.layer.layer())
     force_n = ratio * samples[:, stream.find_force(scene.display.channel)]
     ecg = None if stream.announcing is None else samples[:, stream.announcing]
+    check = SampleCheck(stream.period_ns, stream.channels)
+    check.add(samples)
     playouts = tuple(
         _play(scene, number, seconds, seed, progress) for number in range(len(PLAYOUTS))
     )
@@ -143,6 +149,7 @@ def study_record(
         beat_height(force_n, 1e9 / stream.period_ns),
         errors_ahead(force_n, stream.period_ns, stream.batch, ecg),
         playouts,
+        tuple(sensor_notes(source, check)),
     )
 
 
