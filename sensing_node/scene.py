@@ -4,14 +4,14 @@ import logging
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from protocol.config.kinds import OfKind
 from protocol.config.quantities import MAX_NAME, Name, Nanoseconds, count_text
 from protocol.config.scene import Section, load_section, validate
-from protocol.config.scene_file import load_document
+from protocol.config.scene_file import load_document, merge
 from protocol.errors import SceneError
 from protocol.wire.description import LayerTable, StreamDescription
 from protocol.wire.messages import HEADER_BYTES, MAX_FRAME_BYTES
@@ -102,7 +102,9 @@ class SensingScene(Section):
         return self.model_copy(update=changes)
 
 
-def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingScene:
+def load_sensing(
+    path: Path, options: Mapping[str, str | None] = {}, changes: Mapping[str, Any] = {}
+) -> SensingScene:
     """Read the [sensing] section of a scene, with a record in place of its source if one is given.
 
     Logs the signal that is chosen from the record.
@@ -112,6 +114,8 @@ def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingS
     options : mapping of str to str or None
         "source": path of the record. "channel": name or number of its signal to play; without it,
         one is chosen. "rate", "preload": further keys of the source's table, with their units.
+    changes : mapping of str
+        Further changes of the section that plays the record, key by key.
 
     Raises
     ------
@@ -132,7 +136,8 @@ def load_sensing(path: Path, options: Mapping[str, str | None] = {}) -> SensingS
     sensing = {**load_document(path).get("sensing", {}), "source": source}
     if record.stem.isprintable():
         sensing["stream"] = record.stem[:MAX_NAME]
-    return validate(sensing, SensingScene, f"{path}, with {record} as its source: [sensing]")
+    where = f"{path}, with {record} as its source: [sensing]"
+    return validate(merge(sensing, dict(changes)), SensingScene, where)
 
 
 @contextmanager

@@ -92,7 +92,7 @@ class Run:
     Attributes
     ----------
     name : str
-        Name of the scene, or of the recording's file.
+        Name of the scene, of the `source` that was simulated, or of the recording's file.
     t_s : ndarray of float
         Time of each row since the first one, in s, in equal steps.
     delay_s : ndarray of float
@@ -354,8 +354,8 @@ def build_run(
 ) -> Run:
     """Return the run of some sessions, with the contactors that play the last one.
 
-    path: of the scene or the recording. about: what was stated about the run. marks: Unix time and
-    text of each. Raises SourceError where the ticks cannot be placed on a grid.
+    path: of the scene, the source or the recording. about: what was stated about the run. marks:
+    Unix time and text of each. Raises SourceError where the ticks cannot be placed on a grid.
     """
     now_ns, unix_ns, sensing_ns, instant_ns, playing, full, predicted = (
         join_ticks(sessions, column)

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from display_node.scene import DisplayScene
-from protocol.config.arguments import table
+from protocol.config.arguments import file_path, table
 from protocol.config.quantities import shown
 from protocol.config.scene import SectionT, load_section, validate
 from protocol.config.scene_file import find_scene, load_document, merge
 from protocol.errors import ArgumentError
 from protocol.provenance import Provenance, collect
-from sensing_node.scene import SensingScene
+from sensing_node.scene import SensingScene, load_sensing
 from telepulse.simulation.link_scene import LinkScene, parse_link
 
 DEFAULT_SCENE = "radial"
@@ -63,6 +63,10 @@ def load_scene(
     scene: Path | str = DEFAULT_SCENE,
     display_options: Mapping[str, str | None] = {},
     *,
+    source: Path | str | None = None,
+    channel: str | int | None = None,
+    rate: str | None = None,
+    preload: str | None = None,
     sensing: Mapping[str, Any] = {},
     display: Mapping[str, Any] = {},
     link: Mapping[str, Any] | str = {},
@@ -76,6 +80,11 @@ def load_scene(
     display_options
         Values of the command line's options for [display], which replace those of the scene and of
         `display`; None leaves those.
+    source
+        Recorded pulse to play in place of the scene's source: a file in any known format.
+    channel, rate, preload
+        Of the source: name or number of the signal to play, by default the one with the shape of a
+        pulse; rate that overrides the file's, such as "500 Hz"; force to add, such as "0.3 N".
     sensing, display, link
         Changes of the sections, key by key as in a scene that extends this one. A `link` that is a
         text, such as "delay=40ms,jitter=10ms", replaces the scene's link. Files in a change are
@@ -87,6 +96,8 @@ def load_scene(
         If an argument is of another type.
     SceneError
         If the scene or a change of it is not valid.
+    SourceError
+        If `source` cannot be read, or leaves open which of its signals is the pulse.
     """
     if not isinstance(scene, str | Path):
         raise ArgumentError(f"scene: must be a name or the path of a file, got {shown(scene)}")
@@ -111,7 +122,17 @@ def load_scene(
         display_scene = section("display", DisplayScene)
     else:
         display_scene = load_section(path, "display", DisplayScene, display_options)
-    return Scene(path, section("sensing", SensingScene), display_scene, link_scene)
+    record = {
+        "source": None if source is None else str(file_path("source", source)),
+        "channel": None if channel is None else str(channel),
+        "rate": rate,
+        "preload": preload,
+    }
+    if any(option is not None for option in record.values()):
+        sensing_scene = load_sensing(path, record, changes["sensing"])
+    else:
+        sensing_scene = section("sensing", SensingScene)
+    return Scene(path, sensing_scene, display_scene, link_scene)
 
 
 def _from_here(change: Mapping[str, Any]) -> dict[str, Any]:

@@ -36,20 +36,19 @@ from protocol.cli_options import (
     one_line_errors,
     plain_console,
 )
-from protocol.config.scene_file import find_scene
 from protocol.errors import ProcessError
 from protocol.host.output import check_writable, configure_logging
 from protocol.host.process import lower_priority, stop_on_signals
 from protocol.summary.fields import PressFigures, Summary, with_sensing_node
 from protocol.wire.messages import decode_frame
 from protocol.wire.telemetry import Trace
-from sensing_node.scene import describe_stream, load_sensing, log_repetition, open_source
+from sensing_node.scene import describe_stream, log_repetition, open_source
 from telepulse.cli.options import PROGRAM, LinkOption, SceneArgument, SeedOption, YesOption
 from telepulse.cli.progress import SimulationProgress
 from telepulse.cli.view import open_page
 from telepulse.processes import LoggedNode, LoggedProcess, free_addresses
 from telepulse.scene import DEFAULT_SCENE, Scene, load_scene, scene_provenance
-from telepulse.simulation.link_scene import LinkScene, parse_link
+from telepulse.simulation.link_scene import LinkScene
 from telepulse.simulation.true_errors import TrueErrors
 from telepulse.simulation.virtual_time import Simulation
 
@@ -179,10 +178,15 @@ def _load(
     choice: Mapping[str, str | None],
     record: Mapping[str, str | None],
 ) -> Scene:
-    loaded = load_scene(find_scene(scene), choice)
-    if _given(record):
-        loaded = replace(loaded, sensing=load_sensing(loaded.path, record))
-    return replace(loaded, link=parse_link(link)) if link else loaded
+    return load_scene(
+        scene,
+        choice,
+        source=record["source"],
+        channel=record["channel"],
+        rate=record["rate"],
+        preload=record["preload"],
+        link=link or {},
+    )
 
 
 def run_demo(

@@ -3,7 +3,6 @@
 import io
 import json as jsons
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,15 +12,12 @@ from rich.table import Table
 
 from display_node.verdict import note_lines
 from protocol.cli_options import one_line_errors, plain_console
-from protocol.config.scene_file import find_scene
 from protocol.errors import OutputError
 from protocol.host.output import check_writable, configure_logging, write_whole
 from protocol.tactile import JND
-from sensing_node.scene import load_sensing
 from telepulse.cli.options import PROGRAM, SeedOption, TablesOption
 from telepulse.cli.progress import SimulationProgress
-from telepulse.scene import DEFAULT_SCENE, load_scene, scene_provenance
-from telepulse.simulation.link_scene import parse_link
+from telepulse.scene import load_scene, scene_provenance
 from telepulse.simulation.record_study import (
     LEARNING_S,
     LEAST_S,
@@ -89,11 +85,7 @@ def record(
         check_writable(json)
         check_writable(plot)
         figure = None if plot is None else _empty_figure(plot)
-        path = find_scene(DEFAULT_SCENE)
-        options = {"source": str(file), "channel": channel, "rate": rate, "preload": preload}
-        scene = replace(
-            load_scene(path), sensing=load_sensing(path, options), link=parse_link(link)
-        )
+        scene = load_scene(source=file, channel=channel, rate=rate, preload=preload, link=link)
         provenance = scene_provenance(scene, {"link": seed})
         with SimulationProgress(len(PLAYOUTS) * seconds) as progress:
             study = study_record(scene, seconds, seed, progress.add)

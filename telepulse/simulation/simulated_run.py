@@ -10,6 +10,7 @@ from protocol.config.arguments import number, whole_number
 from protocol.errors import SceneError
 from protocol.wire.messages import channel_samples
 from sensing_node.press.set_points import SetPointServer
+from sensing_node.scene import log_repetition
 from sensing_node.sources.source import SampleSource
 from telepulse.columns import SessionColumns, TickRow
 from telepulse.run import Run, build_run
@@ -25,6 +26,10 @@ def simulate(
     seconds: float = 30.0,
     seed: int = 1,
     *,
+    source: Path | str | None = None,
+    channel: str | int | None = None,
+    rate: str | None = None,
+    preload: str | None = None,
     sensing: Mapping[str, Any] = {},
     display: Mapping[str, Any] = {},
     link: Mapping[str, Any] | str = {},
@@ -41,6 +46,9 @@ def simulate(
         Length of the stream, in s; at most a day.
     seed
         Seed of the link's delays and losses, a whole number from 0.
+    source, channel, rate, preload
+        Recorded pulse to play in place of the scene's source, as `load_scene` takes it. What is
+        doubtful in it, such as gaps that were filled, is in `summary.notes`.
     sensing, display, link
         Changes of the scene's sections, as `load_scene` takes them.
 
@@ -57,7 +65,7 @@ def simulate(
     SceneError
         If the scene or a change of it is not valid, or its force loop is not stable.
     SourceError
-        If the scene's source cannot be read.
+        If the source cannot be read, or leaves open which of its signals is the pulse.
 
     Examples
     --------
@@ -65,16 +73,30 @@ def simulate(
     >>> run = telepulse.simulate("radial", seconds=5, link="delay=40ms,jitter=10ms")
     >>> run.felt_n.shape == run.t_s.shape
     True
+
+    A recorded pulse over the same link:
+
+    >>> run = telepulse.simulate(source="pulse.csv", link="delay=40ms")  # doctest: +SKIP
     """
     seconds = number("seconds", seconds, 1e-3, LONGEST_S)
     seed = whole_number("seed", seed, 0, MOST_SEED)
     if isinstance(scene, Scene):
-        if sensing or display or link:
+        if sensing or display or link or (source, channel, rate, preload) != (None,) * 4:
             raise SceneError("changes of a scene that is loaded already: give them to load_scene")
     else:
-        scene = load_scene(scene, sensing=sensing, display=display, link=link)
+        scene = load_scene(
+            scene,
+            source=source,
+            channel=channel,
+            rate=rate,
+            preload=preload,
+            sensing=sensing,
+            display=display,
+            link=link,
+        )
     session = SessionColumns()
     simulation = Simulation(scene, seed, take_frame=session.add_frame)
+    log_repetition(simulation.source, seconds)
     node = simulation.display
     for state in simulation.ticks(seconds):
         tick = TickRow(
@@ -91,7 +113,7 @@ def simulate(
         contactor.name: contactor.playback(channel)
         for contactor, channel in zip(node.contactors, node.receiver.channel_numbers, strict=False)
     }
-    return build_run(scene.path, [session], simulation.end())
+    return build_run(Path(source or scene.path), [session], simulation.end())
 
 
 SESSION, PRESS = 7, 11

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import telepulse
-from protocol.errors import AddressError, ArgumentError, SceneError
+from protocol.errors import AddressError, ArgumentError, SceneError, SourceError
 
 # Wrong on purpose: a type checker would refuse most of them.
 api: Any = telepulse
@@ -33,6 +33,14 @@ CASES: list[tuple[Callable[[], object], type[Exception], str]] = [
     (lambda: api.simulate(link=["delay=1ms"]), ArgumentError, "link: must be a table .* or a text"),
     (lambda: api.simulate(link={1: 2}), SceneError, r".*\[link\] 1: unknown key; known: delay"),
     (lambda: api.simulate(display={"film": {1: 2}}), SceneError, r".* film.1: unknown key; known"),
+    (lambda: api.simulate(source=5), ArgumentError, "source: must be the path of a file, got 5"),
+    (lambda: api.simulate(source="no.csv"), SourceError, "no.csv: no such recording"),
+    (lambda: api.simulate(rate="5 Hz"), SceneError, "--rate is of a record; give the record by"),
+    (
+        lambda: api.simulate(api.load_scene(), source="no.csv"),
+        SceneError,
+        "changes of a scene that is loaded already: give them to load_scene",
+    ),
     (lambda: api.connect(None), AddressError, "address: must be a text tcp.*, got None"),
     (lambda: api.connect(ADDRESS, key=5), ArgumentError, "key: must be the path of a file, got 5"),
     (lambda: api.read_recording(None), ArgumentError, "path: must be the path .*, got None"),
@@ -86,6 +94,33 @@ def test_a_file_of_a_change_is_found_from_the_working_directory(
     run = telepulse.simulate("radial", seconds=1, sensing=change)
     assert np.nanmax(run.wrist_n) - np.nanmin(run.wrist_n) == pytest.approx(0.3, rel=0.01)
     assert source["path"] == "pulse.csv"
+
+
+def test_a_source_is_played_as_by_the_option_of_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    t_s = np.arange(0, 20, 0.01)
+    near_n, far_n = 0.5 + 0.15 * np.sin(7.5 * t_s) ** 4, 1 + 0.3 * np.sin(5 * t_s) ** 4
+    far_n[1000:1005] = np.nan
+    columns = np.stack([t_s, near_n, far_n], axis=1)
+    np.savetxt("pulse.csv", columns, "%.6f", ",", header="time_s,near_N,far_N", comments="")
+    with pytest.raises(SourceError, match=r"near_N .*far_N .*name one: --channel$"):
+        telepulse.simulate(source="pulse.csv")
+    change = {"source": {"inverted": True}}
+    for channel in ("far_N", 2):
+        run = telepulse.simulate(
+            seconds=12, source=Path("pulse.csv"), channel=channel, preload="2 N", sensing=change
+        )
+        assert run.name == "pulse"
+        assert np.nanmin(run.wrist_n) == pytest.approx(2 - 1.3, abs=1e-3)
+        assert any("5 samples are missing" in note.text for note in run.summary.notes)
+    # Twice as fast, two beats become four.
+    slow, fast = (
+        telepulse.simulate(source="pulse.csv", channel="near_N", rate=rate, seconds=6)
+        for rate in (None, "200 Hz")
+    )
+    assert slow.beats()[1].interval_s == pytest.approx(2 * fast.beats()[1].interval_s, rel=0.02)
 
 
 def test_options_and_changes_of_the_display_both_hold() -> None:
