@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from display_node.scoring.beats import Beat
     from protocol.errors import TelepulseError
     from telepulse.live_stream import LiveStream, connect
-    from telepulse.parallel import sweep
+    from telepulse.parallel import SweepResults, sweep
     from telepulse.recording.recorded_run import read_recording
     from telepulse.run import ContactorRun, Run, find_beats
     from telepulse.sample_queue import StreamBlock
@@ -30,6 +30,7 @@ _MODULES: Final = {
     "Run": "telepulse.run",
     "Scene": "telepulse.scene",
     "StreamBlock": "telepulse.sample_queue",
+    "SweepResults": "telepulse.parallel",
     "TelepulseError": "protocol.errors",
     "connect": "telepulse.live_stream",
     "find_beats": "telepulse.run",
@@ -46,6 +47,7 @@ __all__ = [
     "Run",
     "Scene",
     "StreamBlock",
+    "SweepResults",
     "TelepulseError",
     "connect",
     "find_beats",

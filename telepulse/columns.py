@@ -1,16 +1,20 @@
-"""Columns of a run: the samples and the ticks of each session, simulated or recorded."""
+"""Columns of a run: the samples and the ticks of each session, simulated or recorded; a table."""
 
 import struct
 from array import array
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, get_type_hints
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
+from protocol.errors import OutputError
 from protocol.wire.description import StreamDescription
 from protocol.wire.messages import Frame
 from protocol.wire.telemetry import PlaybackStatus
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -161,3 +165,15 @@ class SessionColumns:
 def join_ticks(sessions: Sequence[SessionColumns], column: str) -> NDArray[Any]:
     """Return a column of the ticks of several sessions."""
     return np.concatenate([session.ticks[column] for session in sessions])
+
+
+def data_frame(columns: Mapping[str, Any]) -> "pd.DataFrame":
+    """Return columns as a pandas DataFrame. Raises OutputError without pandas."""
+    try:
+        import pandas as pd
+    except ImportError as error:
+        raise OutputError(
+            f"to_dataframe needs pandas, which cannot be loaded ({error});"
+            " pip install 'telepulse[analysis]'"
+        ) from None
+    return pd.DataFrame(columns)

@@ -8,15 +8,22 @@ import asyncio
 import atexit
 import gc
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
-from typing import TypeVar
+from numbers import Number
+from typing import TYPE_CHECKING, Any, TypeVar, get_origin
 
 from protocol.config.quantities import shown
 from protocol.errors import ArgumentError, SweepError
+from protocol.summary.fields import Summary
+from protocol.summary.figures import figures
+from telepulse.columns import data_frame
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Case = TypeVar("Case")
 Result = TypeVar("Result")
@@ -58,10 +65,71 @@ def _end_without_collection() -> None:
     atexit.register(gc.freeze)
 
 
+class SweepResults(list[Result]):
+    """Results of a sweep: a list in the order of the cases, which is also a table.
+
+    Attributes
+    ----------
+    cases : list
+        Case of each result.
+    """
+
+    def __init__(self, cases: Sequence[Any], results: Iterable[Result]) -> None:
+        super().__init__(results)
+        self.cases = list(cases)
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the table by columns: first those of the cases, then those of the results.
+
+        A case or result that is a mapping or a named tuple has a column for each of its entries. A
+        run has one for each figure of its summary, by its key: "force_rmse_n.aligned". Any other
+        one is the column "case" or "result"; a `Scene` is shown as text. A column of a result that
+        has the name of one of the cases begins with "result.". Missing values are None.
+        """
+        cases = [_entries("case", case) for case in self.cases]
+        named = {name for case in cases for name in case}
+        rows = [
+            case
+            | {
+                f"result.{name}" if name in named else name: value
+                for name, value in _entries("result", result).items()
+            }
+            for case, result in zip(cases, self, strict=True)
+        ]
+        names = dict.fromkeys(name for row in rows for name in row)
+        return {name: [row.get(name) for row in rows] for name in names}
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return the columns as a pandas DataFrame, one row a case.
+
+        Raises
+        ------
+        OutputError
+            If pandas is not installed.
+        """
+        return data_frame(self.columns())
+
+
+def _entries(name: str, value: Any) -> dict[str, Any]:
+    """Return a case or a result by columns."""
+    if isinstance(summary := getattr(value, "summary", None), Summary):
+        plain = summary.to_dict()
+        return {
+            figure.key: figure.value(plain)
+            for figure in figures()
+            if get_origin(figure.type) not in (dict, list)
+        }
+    if isinstance(value, Mapping):
+        return {str(key): each for key, each in value.items()}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return dict(value._asdict())
+    return {name: value if isinstance(value, Number | str | None) else str(value)}
+
+
 def sweep(
     function: Callable[[Case], Result], cases: Iterable[Case], scheduler: str | None = None
-) -> list[Result]:
-    """Return the function's result for each case, in the order of the cases.
+) -> SweepResults[Result]:
+    """Return the function's result for each case, in the order of the cases, as list and table.
 
     Parameters
     ----------
@@ -72,6 +140,11 @@ def sweep(
     scheduler
         Address of a Dask scheduler such as `tcp://HOST:8786`, whose workers have this version
         of telepulse. Without one, all cores of this machine are used; the results are the same.
+
+    Returns
+    -------
+    SweepResults
+        A list; `to_dataframe` and `columns` return cases and results as a table.
 
     Raises
     ------
@@ -96,14 +169,15 @@ def sweep(
         raise ArgumentError(f"cases: must be a list or another iterable, got {shown(cases)}")
     cases = list(cases)
     if not cases:
-        return []
+        return SweepResults([], [])
     processes = min(len(cases), os.cpu_count() or 1)
     pool = _one_thread_pool(processes) if scheduler is None else _cluster(scheduler)
     with pool as workers:
         jobs = list[Future[Result]]()
         try:
             jobs += [workers.submit(function, case) for case in cases]
-            return [_result(job, case) for job, case in zip(jobs, cases, strict=True)]
+            results = [_result(job, case) for job, case in zip(jobs, cases, strict=True)]
+            return SweepResults(cases, results)
         except BrokenProcessPool:
             raise SweepError(DIED) from None
         finally:

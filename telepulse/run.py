@@ -1,9 +1,12 @@
 """A run as arrays: the force at the wrist, the target force at the finger, and the felt force."""
 
+import io
 import logging
 import math
+from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
@@ -18,10 +21,12 @@ from protocol.config.quantities import count_text, shown
 from protocol.errors import ArgumentError, OutputError, SourceError
 from protocol.summary.fields import RmsErrors, Summary
 from protocol.wire.messages import ChannelSamples
-from telepulse.columns import Ints, SessionColumns, join_ticks
+from telepulse.columns import Ints, SessionColumns, data_frame, join_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +34,9 @@ Mask = NDArray[np.bool_]
 Force = Literal["wrist_n", "target_n", "felt_n"]
 # Characters of a mark's text that a plot shows.
 MARK_SHOWN = 30
+LABELS = AT_THE_WRIST, AT_THE_FINGER = "wrist, scaled to the same strain", "felt at the finger"
+# Part of a run that a notebook shows, around its middle; part of an averaged beat before its onset.
+NOTEBOOK_S, BEFORE_ONSET_S = 10.0, 0.1
 # Samples a second of a pulse in which beats are found.
 SLOWEST_HZ, FASTEST_HZ = 20, 100_000
 # Times in ns are whole numbers of 64 bits.
@@ -229,14 +237,7 @@ class Run:
         OutputError
             If pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            raise OutputError(
-                f"to_dataframe needs pandas, which cannot be loaded ({error});"
-                " pip install 'telepulse[analysis]'"
-            ) from None
-        return pd.DataFrame(self.columns())
+        return data_frame(self.columns())
 
     def plot(self, begin_s: float = 0.0, end_s: float = np.inf) -> "NDArray[np.object_]":
         """Draw each contactor's forces, what was predicted, the marks, and below them the delay.
@@ -246,7 +247,7 @@ class Run:
         Parameters
         ----------
         begin_s, end_s
-            Part of the run to draw, in s since its first tick.
+            Part of the run to draw, in s since its first row.
 
         Returns
         -------
@@ -258,25 +259,21 @@ class Run:
         OutputError
             If matplotlib is not installed.
         """
-        try:
-            from matplotlib import pyplot as plt
-        except ImportError as error:
-            raise OutputError(
-                f"plot needs matplotlib, which cannot be loaded ({error});"
-                " pip install 'telepulse[report]'"
-            ) from None
+        return self._draw(_pyplot("plot").figure(layout="constrained"), begin_s, end_s)
+
+    def _draw(self, figure: "Figure", begin_s: float, end_s: float) -> "NDArray[np.object_]":
+        """Draw a part of the run into an empty figure, and return the axes."""
         shown = (self.t_s >= begin_s) & (self.t_s <= end_s)
         t_s, predicted = self.t_s[shown], self.predicted[shown]
         rows = len(self.contactors) + 1
-        size = (9, 2 * rows - 0.5)
-        grid: NDArray[np.object_]
-        figure, grid = plt.subplots(rows, sharex=True, figsize=size, layout="constrained")
+        figure.set_size_inches(9, 2 * rows - 0.5)
+        grid: NDArray[np.object_] = figure.subplots(rows, sharex=True)
         *forces, below = grid
         for axes, contactor in zip(forces, self.contactors.values(), strict=True):
             wrist_n = contactor.force_ratio * contactor.wrist_n[shown]
             felt_n = contactor.felt_n[shown]
-            axes.plot(t_s, wrist_n, label="wrist, scaled to the same strain", color="C0")
-            axes.plot(t_s, felt_n, label="felt at the finger", color="C1")
+            axes.plot(t_s, wrist_n, label=AT_THE_WRIST, color="C0")
+            axes.plot(t_s, felt_n, label=AT_THE_FINGER, color="C1")
             only = np.where(predicted, felt_n, np.nan)
             axes.plot(t_s, only, label="of it predicted", color="C3", lw=2.5, alpha=0.5)
             axes.set(ylabel="force, N", title=contactor.name)
@@ -300,6 +297,122 @@ class Run:
         lines, labels = forces[0].get_legend_handles_labels()
         figure.legend(lines, labels, loc="outside upper center", ncols=3, fontsize="small")
         return grid
+
+    def plot_delay(self, ax: "Axes | None" = None) -> "Axes":
+        """Draw the perceived delay E over time; the line is interrupted where no pulse was played.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into; by default those of a new figure of pyplot.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        OutputError
+            If matplotlib is not installed.
+        """
+        ax = _axes("plot_delay", ax)
+        ax.plot(self.t_s, 1e3 * self.delay_s, color="C2")
+        ax.set(xlabel="time, s", ylabel="perceived delay E, ms")
+        ax.set_title(self.name, parse_math=False)
+        return ax
+
+    def plot_beat(self, ax: "Axes | None" = None, contactor: str | None = None) -> "Axes":
+        """Draw the ensemble-averaged beat at the wrist and at the finger.
+
+        The beats are aligned at their onsets at the wrist, so that the felt one is later by the
+        perceived delay. Lines are means, bands one standard deviation to either side. Averaged are
+        the good beats that were felt whole at full strength.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes to draw into; by default those of a new figure of pyplot.
+        contactor : str, optional
+            Name of the contactor; by default the first one.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+
+        Raises
+        ------
+        ArgumentError
+            If there is no such contactor.
+        OutputError
+            If there is no beat to average, or matplotlib is not installed.
+        """
+        played = self._contactor(contactor)
+        good = [beat for beat in self.beats(contactor=contactor) if beat.good]
+        length_s = float(np.median([beat.interval_s for beat in good])) if good else 0.0
+        after_s = np.arange(-BEFORE_ONSET_S, length_s, 1 / self.rate_hz)
+        onsets_ns = np.array([beat.onset_ns for beat in good]).reshape(-1, 1)
+        forces_n = played.force_ratio * played.wrist_n, np.where(self.played, played.felt_n, np.nan)
+        at_ns = onsets_ns + 1e9 * after_s
+        beats_n = np.stack([_bridged(at_ns, 1e9 * self.t_s, force_n) for force_n in forces_n])
+        beats_n = beats_n[:, ~np.isnan(beats_n).any(axis=(0, 2))]
+        if not (count := beats_n.shape[1]):
+            raise OutputError(f"{self.name}: no good beat was felt whole at full strength")
+        ax = _axes("plot_beat", ax)
+        for each_n, label, color in zip(beats_n, LABELS, ("C0", "C1"), strict=True):
+            mean_n, deviation_n = each_n.mean(axis=0), each_n.std(axis=0)
+            ax.plot(after_s, mean_n, label=label, color=color)
+            low_n, high_n = mean_n - deviation_n, mean_n + deviation_n
+            ax.fill_between(after_s, low_n, high_n, color=color, alpha=0.25, lw=0)
+        ax.set(xlabel="time since the onset at the wrist, s", ylabel="force, N")
+        ax.set_title(f"{self.name}: mean of {count_text(count, 'beat')}", parse_math=False)
+        ax.legend()
+        return ax
+
+    def _repr_html_(self) -> str:
+        """Return the verdict on the run and a plot of some seconds, which a notebook shows."""
+        from display_node.verdict import verdict
+
+        lines = [f"<b>{escape(repr(self))}</b>"]
+        if self.summary == Summary():
+            lines.append("The recording holds no summary of the display.")
+        else:
+            lines += map(escape, verdict(self.summary).lines)
+        begin_s = max(0.0, (float(self.t_s[-1]) - NOTEBOOK_S) / 2)
+        try:
+            figure = _pyplot("the plot of a run").Figure(layout="constrained")
+        except OutputError as error:
+            lines.append(escape(str(error)))
+        else:
+            self._draw(figure, begin_s, begin_s + NOTEBOOK_S)
+            drawn = io.BytesIO()
+            figure.savefig(drawn, format="png")
+            data = b64encode(drawn.getvalue()).decode()
+            described = f"forces and perceived delay over {NOTEBOOK_S:g} s from {begin_s:.1f} s on"
+            lines.append(f'<img alt="{described}" src="data:image/png;base64,{data}">')
+        return "<br>\n".join(lines)
+
+
+def _pyplot(what: str) -> Any:
+    """Return matplotlib's pyplot. Raises OutputError without it."""
+    try:
+        from matplotlib import pyplot
+    except ImportError as error:
+        raise OutputError(
+            f"{what} needs matplotlib, which cannot be loaded ({error});"
+            " pip install 'telepulse[report]'"
+        ) from None
+    return pyplot
+
+
+def _axes(what: str, ax: "Axes | None") -> "Axes":
+    """Return the axes that were given, or those of a new figure. Raises OutputError."""
+    return _pyplot(what).subplots(layout="constrained")[1] if ax is None else ax
+
+
+def _bridged(at_ns: Floats, t_ns: Floats, force_n: Floats) -> Floats:
+    """Return a force at some times; missing rows are bridged as short gaps of a pulse are."""
+    known = ~np.isnan(force_n)
+    return interpolate(at_ns, t_ns[known], force_n[known])
 
 
 class TickGrid:

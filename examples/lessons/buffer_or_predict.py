@@ -90,6 +90,8 @@ plt.show()
 # forecasts go unnoticed:
 
 auto = telepulse.simulate("radial", seconds=30, link=LINK)
+auto.plot_delay()
+plt.show()
 for begin_s in range(0, 30, 5):
     part = (auto.t_s >= begin_s) & (auto.t_s < begin_s + 5) & auto.played
     if part.any():

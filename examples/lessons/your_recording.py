@@ -56,9 +56,20 @@ run.plot(begin_s=20, end_s=24)
 plt.show()
 
 # %%
+# A notebook shows a run by what was felt, and by its middle:
+
+run
+
+# %%
+# The mean beat at the wrist and at the finger, with one standard deviation to either side:
+
+run.plot_beat()
+plt.show()
+
+# %%
 # A file that states its rate
 # ---------------------------
-# An EDF file, or a record of PhysioNet, states rate and unit itself, so the scene needs its path
+# An EDF file, or a record of PhysioNet, states rate and unit itself, so ``source`` is its path
 # alone. The package edfio writes one from an array. A unit that is neither force nor pressure is
 # scaled so that the median beat is felt with 0.3 N.
 
@@ -66,8 +77,7 @@ import edfio
 
 signal = edfio.EdfSignal(-light, RATE_HZ, label="PLETH", physical_dimension="NU")
 edfio.Edf([signal]).write(folder / "oximeter.edf")
-source = {"kind": "recording", "path": str(folder / "oximeter.edf")}
-of_record = telepulse.simulate("radial", seconds=10, sensing={"source": source})
+of_record = telepulse.simulate(source=folder / "oximeter.edf", seconds=10)
 beats = of_record.beats()
 print(f"median height at the wrist {np.median([beat.height_n for beat in beats]):.2f} N")
 print(f"median rate {60 / np.median([beat.interval_s for beat in beats]):.0f} /min")

@@ -64,3 +64,9 @@ def test_a_lesson_prints_a_figure_that_is_known(site: Path, lesson: Path) -> Non
     found = re.search(line, page)
     assert found is not None, line
     assert float(found[1]) == pytest.approx(value, abs=off)
+
+
+def test_a_notebook_s_cell_that_ends_in_a_run_shows_it(site: Path) -> None:
+    page = (site / "lessons/your_recording.html").read_text(encoding="utf-8")
+    assert "The finger felt the pulse" in page
+    assert 'src="data:image/png;base64,' in page

@@ -12,7 +12,7 @@ import telepulse
 from protocol.config.scene_file import find_scene
 from protocol.errors import SceneError, SweepError
 from telepulse import parallel as sweep_module
-from telepulse.parallel import THREADS, in_one_thread, sweep
+from telepulse.parallel import THREADS, SweepResults, in_one_thread, sweep
 from tests.support.nodes import free_address, process, run_python
 
 LONG_S = 60
@@ -47,6 +47,35 @@ def test_results_come_in_the_order_of_the_cases_from_workers_of_one_thread() -> 
     assert sweep(math.sqrt, (number for number in (4, 9))) == [2, 3]
     assert sweep(math.sqrt, []) == []
     assert sweep(os.getenv, [THREADS] * 3) == ["1"] * 3
+
+
+def play_over(link: dict[str, float]) -> telepulse.Run:
+    display = {"predictor": "linear", "compensation": "60 ms"}
+    delay = f"delay={link['one_way_delay_ms']}ms"
+    return telepulse.simulate("radial", 3, link=delay, display=display)
+
+
+def test_a_sweep_is_a_table_of_its_cases_and_figures() -> None:
+    cases = [{"one_way_delay_ms": delay_ms} for delay_ms in (10.0, 30.0)]
+    runs = sweep(play_over, cases)
+    assert [type(run) for run in runs] == [telepulse.Run] * 2
+    frame = runs.to_dataframe()
+    assert list(frame["one_way_delay_ms"]) == [10, 30]
+    for run, row in zip(runs, frame.to_dict("records"), strict=True):
+        errors = run.summary.force_rmse_n
+        found = row["force_rmse_n.aligned"], row["force_rmse_n.in_phase"]
+        assert found == (errors.aligned, errors.in_phase)
+        assert row["one_way_delay_ms.p50"] == pytest.approx(row["one_way_delay_ms"], abs=1)
+    assert frame["samples.lost"].sum() == 0
+    assert sweep(math.sqrt, [4, 9]).columns() == {"case": [4, 9], "result": [2, 3]}
+    beats = SweepResults([{"interval_s": 1}, "scene"], [{"interval_s": 2, "height_n": 3}, None])
+    assert beats.columns() == {
+        "interval_s": [1, None],
+        "result.interval_s": [2, None],
+        "height_n": [3, None],
+        "case": [None, "scene"],
+        "result": [None, None],
+    }
 
 
 def test_a_function_runs_elsewhere_with_one_thread_and_the_environment_stays(

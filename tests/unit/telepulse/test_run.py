@@ -1,5 +1,7 @@
 """Runs as arrays agree with the summaries, simulated and recorded."""
 
+import sys
+from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import pytest
 from matplotlib import pyplot as plt
 
 import telepulse
-from protocol.summary.fields import Availability, RmsErrors
+from protocol.summary.fields import Availability, RmsErrors, Summary
 from telepulse.run import TickGrid
 from tests.support.recordings import GAIN, record
 
@@ -155,3 +157,69 @@ def test_a_recording_has_its_marks_and_what_was_stated(tmp_path: Path) -> None:
         assert [line.get_xdata()[0] for line in vertical] == pytest.approx([1.5])
     assert [text.get_text() for text in panels[0].texts] == ["$ off"]
     plt.close()
+
+
+@pytest.fixture(scope="module")
+def late() -> telepulse.Run:
+    """A run that is felt 60 ms after the wrist."""
+    return telepulse.simulate(
+        "radial", 10, display={"predictor": "linear", "compensation": "60 ms"}
+    )
+
+
+def test_the_averaged_beat_is_felt_later_by_the_perceived_delay(late: telepulse.Run) -> None:
+    axes = late.plot_beat()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "time since the onset at the wrist, s",
+        "force, N",
+    )
+    wrist, felt = axes.get_lines()
+    t_s, wrist_n = wrist.get_data()
+    shift_s = t_s[np.argmax(felt.get_ydata())] - t_s[np.argmax(wrist_n)]
+    assert shift_s == pytest.approx(0.06, abs=5e-3)
+    assert np.ptp(wrist_n) == pytest.approx(late.summary.beats.height_n, rel=0.05)
+    assert axes.get_title().startswith("radial: mean of ")
+    _, given = plt.subplots()
+    assert late.plot_beat(given, late.first.name) is given
+    plt.close("all")
+
+
+def test_a_beat_is_averaged_over_missed_ticks_and_none_is_refused(late: telepulse.Run) -> None:
+    missed = np.arange(len(late.t_s)) % 50 == 0
+    torn = {
+        name: replace(each, felt_n=np.where(missed, np.nan, each.felt_n))
+        for name, each in late.contactors.items()
+    }
+    titles = [run.plot_beat().get_title() for run in (replace(late, contactors=torn), late)]
+    assert titles[0] == titles[1]
+    plt.close("all")
+    with pytest.raises(telepulse.TelepulseError, match=r"^radial: no good beat was felt whole"):
+        replace(late, played=np.zeros_like(late.played)).plot_beat()
+
+
+def test_the_perceived_delay_is_drawn_over_time(late: telepulse.Run) -> None:
+    axes = late.plot_delay()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time, s", "perceived delay E, ms")
+    (line,) = axes.get_lines()
+    assert np.nanmedian(line.get_ydata()) == pytest.approx(60, abs=1)
+    _, given = plt.subplots()
+    assert late.plot_delay(given) is given
+    plt.close("all")
+
+
+def test_a_notebook_shows_the_verdict_and_a_plot(
+    late: telepulse.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown = replace(late, name="<b>")._repr_html_()
+    assert "Run(&#x27;&lt;b&gt;&#x27;" in shown
+    assert "The finger felt the pulse 60" in shown
+    data = b64decode(shown.partition("data:image/png;base64,")[2].partition('"')[0])
+    # The size of a PNG stands behind its signature and the head of its first part.
+    assert int.from_bytes(data[16:20]) > 500
+    assert plt.get_fignums() == []
+    unknown = replace(late, summary=Summary())._repr_html_()
+    assert "The recording holds no summary" in unknown
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    without = late._repr_html_()
+    assert "The finger felt the pulse 60" in without
+    assert "the plot of a run needs matplotlib" in without
