@@ -3,6 +3,7 @@
 import json
 import os
 import pty
+import re
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from telepulse.cli.main import app
 from telepulse.experiment.log import SessionLog, open_log, read_log
 from telepulse.experiment.session import load_plan
 from tests.support.experiment_sessions import condition, write
-from tests.support.nodes import known
+from tests.support.nodes import ROOT, known
 from tests.support.waiting import PATIENCE_S, until
 
 PLAIN = condition("plain")
@@ -194,3 +195,21 @@ def test_a_session_ends_safely_on_sigterm(tmp_path: Path) -> None:
         child.send_signal(signal.SIGTERM)
         read_until(child, "stopped; continue")
         assert child.wait(20) == 0
+
+
+# 68 trials in virtual time.
+@pytest.mark.timeout(400)
+def test_the_example_with_the_page_s_seed_gives_what_the_page_shows(tmp_path: Path) -> None:
+    session = tmp_path / "mine.toml"
+    assert experiment("new", session).exit_code == 0
+    written = session.read_text(encoding="utf-8")
+    seeded = re.sub(r"^# (seed = 1) ", r"\1 ", written, flags=re.MULTILINE)
+    assert seeded != written
+    session.write_text(seeded, encoding="utf-8")
+    result = experiment("run", session, "--log", tmp_path / "o.jsonl", "--observer", "5 %")
+    assert result.exit_code == 0, result.output
+    page = (ROOT / "docs/experiment.md").read_text(encoding="utf-8")
+    row = re.compile(r"[|│] ([\w ,]+?) +[|│] (\d+ of 16) +[|│] ([\d. to]+ %) ")
+    shown = row.findall(page)
+    assert len(shown) == 4
+    assert row.findall(result.stdout) == shown
