@@ -117,6 +117,11 @@ class ChildProcess(subprocess.Popen[str]):
             self.communicate()
         return self.returncode
 
+    def check(self, may_end_with: Sequence[int] = ()) -> None:
+        """Raise ProcessError where the process has ended, with none of the named statuses."""
+        if self.poll() not in (None, *may_end_with):
+            raise self._failure(f"ended early with status {self.returncode}")
+
     def await_end(self, within_s: float, may_end_with: Sequence[int] = ()) -> str:
         """Wait up to `within_s` for the process to end; return what it wrote to a piped stderr.
 

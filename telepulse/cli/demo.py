@@ -5,7 +5,9 @@ the display's telemetry, and scores the felt force against the sensed one.
 """
 
 import logging
+import math
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -19,7 +21,7 @@ import zmq
 from rich.console import Console
 
 from display_node.telemetry.terminal import watch
-from display_node.verdict import conclude
+from display_node.verdict import NOT_VALID_STATUS, conclude
 from protocol import sockets
 from protocol.cli_options import (
     FAULT_STATUS,
@@ -216,7 +218,6 @@ def run_demo(
     sensing_address, telemetry_address, link_address = free_addresses(3)
     impaired = scene.link != LinkScene()
     display_address = link_address if impaired else sensing_address
-    time_limit = ("--seconds", str(seconds + ENDS_WITHIN_S))
     with tempfile.TemporaryDirectory(prefix="telepulse-") as folder, ExitStack() as stack:
         live_page = None
         if page or (page is None and draw):
@@ -224,7 +225,7 @@ def run_demo(
             live_page = open_page(stack, telemetry_address, bool(page), console)
         display = LoggedNode(
             *("display node", "display_node.cli", str(path), "--connect", display_address),
-            *("--telemetry", telemetry_address, "--once", "--quiet", *time_limit),
+            *("--telemetry", telemetry_address, "--once", "--quiet"),
             *_given(choice),
             summary=Path(folder, "display.json"),
         )
@@ -232,7 +233,7 @@ def run_demo(
         link_process = None
         if impaired:
             link_process = LoggedProcess(
-                *("link between the nodes", "-m", "telepulse", "link", *time_limit),
+                *("link between the nodes", "-m", "telepulse", "link"),
                 *("--connect", sensing_address, "--bind", display_address),
                 *("--link", scene.link.text()),
             )
@@ -255,10 +256,23 @@ def run_demo(
         sent = sockets.connect(context, zmq.SUB, sensing_address)
         sent.subscribe(b"")
 
+        ends_by_s = math.inf
+
         def keep_watching() -> bool:
+            nonlocal ends_by_s
             for (message,) in sockets.receive_multipart(sent):
                 errors.add_sent(decode_frame(message))
-            return display.poll() is None and not sensing.poll()
+            if link_process is not None:
+                link_process.check()
+            sensing.check(may_end_with=[0, FAULT_STATUS])
+            display.check(may_end_with=[0, FAULT_STATUS, NOT_VALID_STATUS])
+            if sensing.returncode is not None:
+                ends_by_s = min(ends_by_s, time.monotonic() + ENDS_WITHIN_S)
+            if time.monotonic() > ends_by_s:
+                # The end of the stream has not reached it.
+                display.terminate()
+                return False
+            return display.returncode is None
 
         def add_felt(traces: list[Trace]) -> None:
             felt = traces[0].full
@@ -274,8 +288,11 @@ def run_demo(
             # A link process that has failed before keeps its exit status.
             link_process.terminate()
             link_process.await_end(ENDS_WITHIN_S)
-        sensed = sensing.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
         played = display.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
+        if not played.availability.ended and not played.faults:
+            # It has ended properly, but not at the stream's end.
+            display.check()
+        sensed = sensing.await_summary(ENDS_WITHIN_S, may_end_with=[FAULT_STATUS])
         return errors.finish(_compose(sensed, played, link_process is not None))
 
 
@@ -286,9 +303,7 @@ def _await_telemetry(display: LoggedNode, telemetry: sockets.Socket) -> None:
     """
     telemetry.subscribe(b"")
     while not sockets.has_message(telemetry):
-        if display.poll() is not None:
-            display.await_end(ENDS_WITHIN_S)
-            raise ProcessError("the display node has ended before it played")
+        display.check()
         sockets.wait_readable([telemetry], POLL_NS)
     telemetry.close()
 

@@ -1,5 +1,7 @@
+import os
 import re
 import signal
+import sys
 import urllib.request
 from pathlib import Path
 from typing import Any
@@ -8,11 +10,26 @@ import pytest
 
 from display_node.verdict import MOST_LINES, NOT_VALID_STATUS
 from protocol.faults import FaultKind, faults_of
-from tests.support.nodes import RADIAL, assert_accounted, process, read_json, run, run_python
+from tests.support.nodes import (
+    RADIAL,
+    ROOT,
+    assert_accounted,
+    process,
+    read_json,
+    run,
+    run_python,
+)
 from tests.support.signal_files import pulse_and_ecg, wfdb_record
 
 MODULE = "telepulse"
 PATIENCE_S = 60.0
+# A fast clock of the link: to it, all else takes fifty times as long.
+FAST_CLOCK = """
+import sys, time
+if "link" in sys.orig_argv:
+    counter_ns, begin_ns = time.perf_counter_ns, time.perf_counter_ns()
+    time.perf_counter_ns = lambda: begin_ns + 50 * (counter_ns() - begin_ns)
+"""
 
 
 def assert_felt(figures: dict[str, Any]) -> None:
@@ -139,3 +156,47 @@ def test_without_bokeh_the_demo_names_the_extra_and_continues_unless_a_page_is_r
         first = result.stderr.splitlines()[0]
         assert first.endswith("Bokeh is missing; pip install 'telepulse[view]'")
         assert ("The pulse was felt for" in result.stdout) == (status == 0)
+
+
+def test_the_link_outlives_the_stream_however_slow_the_rest_is(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(FAST_CLOCK, encoding="utf-8")
+    out = tmp_path / "out.json"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
+    arguments = ("--link", "delay=1ms", "--seconds", "4", "--json", str(out), "--no-ui")
+    with process(MODULE, "demo", *arguments, env=environment) as demo:
+        _, errors = demo.communicate(timeout=PATIENCE_S)
+    assert (demo.returncode, errors) == (0, "")
+    samples = read_json(out)["samples"]
+    assert_accounted(samples)
+    assert samples["sent"] + samples["before_joining"] == 4000
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds the parts in /proc")
+@pytest.mark.parametrize(
+    ("part", "name", "number", "status"),
+    [
+        ("link", "link between the nodes", signal.SIGKILL, "-9"),
+        ("link", "link between the nodes", signal.SIGTERM, "0"),
+        ("display_node.cli", "display node", signal.SIGKILL, "-9"),
+        # 4 on a machine that is so slow that the run is not valid.
+        ("display_node.cli", "display node", signal.SIGTERM, "[04]"),
+        ("sensing_node.cli", "sensing node", signal.SIGKILL, "-9"),
+    ],
+)
+def test_a_part_that_ends_early_is_named_with_its_status(
+    part: str, name: str, number: signal.Signals, status: str
+) -> None:
+    with process(MODULE, "demo", "--link", "delay=1ms", "--seconds", "100", "--no-page") as demo:
+        while not demo.read_line(PATIENCE_S).startswith("playing:"):
+            pass
+        children = Path(f"/proc/{demo.pid}/task/{demo.pid}/children").read_text().split()
+        (pid,) = (
+            int(pid)
+            for pid in children
+            if f"\0{part}\0" in Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")
+        )
+        os.kill(pid, number)
+        _, errors = demo.communicate(timeout=PATIENCE_S)
+    assert demo.returncode == 2
+    early = f"telepulse: the {name} ended early with status {status}: it printed no reason\n"
+    assert re.fullmatch(early, errors)
