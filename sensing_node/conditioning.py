@@ -27,12 +27,12 @@ DELAY_BAND_HZ, DELAY_STEP_HZ = 40.0, 0.05
 class ConditioningScene(SensitivityTable):
     """The `conditioning` table; stages without a key are left out.
 
-    sensitivity: that of the film with its amplifier (Fig. 4: 44 mV/N); or film_radius, with eq 21.
-    charge_amplifier: corner of its high-pass, which removes the static force. hold_down: constant
-    force added in its place, so that the display presses. mains: frequency of the notch.
-    mains_quality: the notch's frequency over its width. A wide notch rejects a varying mains
-    frequency, and delays the pulse more. anti_alias: corner of a Butterworth low-pass. adc_bits:
-    resolution over ±adc_range.
+    sensitivity: that of the film with its amplifier (44 mV/N in Fig. 4 of Dargahi et al. 2008); or
+    film_radius, with eq 21. charge_amplifier: corner of its high-pass, which removes the static
+    force. hold_down: constant force added in its place, so that the display presses. mains:
+    frequency of the notch. mains_quality: the notch's frequency over its width. A wide notch
+    rejects a varying mains frequency, and delays the pulse more. anti_alias: corner of a
+    Butterworth low-pass. adc_bits: resolution over ±adc_range.
     """
 
     charge_amplifier_hz: Annotated[Hertz, Field(ge=1e-3, le=5)] | None = None

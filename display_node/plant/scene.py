@@ -153,9 +153,9 @@ ACTUATORS = KindGroup(
 class FilmTable(Section):
     """The `film` table: the PVDF film under the finger (Table 1 of Dargahi et al. 2008: 9 mm).
 
-    sensitivity: that of the film with its amplifier, such as 44 mV/N in Fig. 4; by default eq 21
-    gives it from the radius. filter: corner of the low-pass of `filter_order` poles behind the
-    film. noise: RMS before the filter. adc_bits: resolution over ±adc_range. latency: age of a
+    sensitivity: that of the film with its amplifier, such as 44 mV/N in Fig. 4 there; by default
+    eq 21 gives it from the radius. filter: corner of the low-pass of `filter_order` poles behind
+    the film. noise: RMS before the filter. adc_bits: resolution over ±adc_range. latency: age of a
     reading when it is read.
     """
 

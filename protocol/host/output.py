@@ -51,8 +51,12 @@ class LineFormatter(logging.Formatter):
     """Formatter of a record as one line of printable characters."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return `HH:MM:SS.mmm LEVEL message` in local time; control characters are escaped."""
-        at = time.strftime("%H:%M:%S", time.localtime(record.created))
+        """Return `HH:MM:SS.mmm LEVEL message` in local time; control characters are escaped.
+
+        The date comes first where the log goes to no terminal: a file is read on another day.
+        """
+        date = "" if sys.stderr.isatty() else "%Y-%m-%d "
+        at = time.strftime(f"{date}%H:%M:%S", time.localtime(record.created))
         text = record.getMessage()
         if record.exc_info is not None:
             kind, error, trace = record.exc_info

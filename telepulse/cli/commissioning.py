@@ -181,7 +181,7 @@ def calibrate(
     out: PageOption = None,
     json: TablesOption = None,
 ) -> None:
-    """Fit the straight line of Fig. 4 from reference loads, with residuals and R².
+    """Fit a sensor's straight line from reference loads, with residuals and R².
 
     The readings come from a file, or from a sensor under loads that you put on one by one.
     """

@@ -72,7 +72,12 @@ class LazyGroup(TyperGroup):
 app = typer.Typer(cls=LazyGroup, rich_markup_mode="markdown", no_args_is_help=True)
 
 
-@app.callback(help="A pulse sensed in one place, felt in another: demo, simulation and link proxy.")
+@app.callback(
+    help="A pulse sensed in one place, felt in another.\n\n"
+    "The two nodes are programs of their own: `sensing-node` at the wrist and `display-node` at the"
+    " finger. `telepulse` runs both for a demo, brings their hardware into service, and analyses"
+    " what they did."
+)
 def telepulse(version: VersionOption = False) -> None:
     """Take the options that stand before a command."""
 

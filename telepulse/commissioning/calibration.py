@@ -307,8 +307,9 @@ def report_calibration(name: str, loads: LoadReadings, line: CalibrationLine) ->
     note = "±: standard errors"
     if loads.unit == "V":
         note += (
-            f"; the paper's Fig. 4 has {FIG_4_VOLTS_PER_NEWTON * 1e3:.0f} mV/N, and its eq 21 gives"
-            f" a 9 mm film {Film(RADIUS_M).volts_per_newton * 1e3:.0f} mV/N without an amplifier"
+            f"; Fig. 4 of Dargahi et al. (2008) has {FIG_4_VOLTS_PER_NEWTON * 1e3:.0f} mV/N, and eq"
+            f" 21 gives a 9 mm film {Film(RADIUS_M).volts_per_newton * 1e3:.0f} mV/N without an"
+            " amplifier"
         )
     tables = (table, Table("line", ("", ""), figures, note=note))
 

@@ -62,8 +62,10 @@ def _calibration(figure: "Figure") -> None:
         name = f"eq 21, r = {1e3 * film.radius_m:g} mm"
         axes.plot(force_n, 1e3 * (force_n * film.volts_per_newton), label=name)
     slope = CALIBRATION_MV_PER_N
-    axes.plot(force_n, slope * force_n, label=f"Fig. 4, about {slope:g} mV/N")
-    axes.plot(force_n[1], CALIBRATION_MV, "o", label="Fig. 4, end point as printed")
+    axes.plot(
+        force_n, slope * force_n, label=f"Fig. 4 of Dargahi et al. (2008), about {slope:g} mV/N"
+    )
+    axes.plot(force_n[1], CALIBRATION_MV, "o", label="its end point, as printed")
     axes.set(xscale="log", yscale="log", ylim=(0.1, 1e7))
     axes.set(xlabel="force in N", ylabel="film voltage in mV")
     axes.legend(loc="upper left")

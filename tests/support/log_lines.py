@@ -4,7 +4,7 @@ import re
 
 from tests.support.nodes import run
 
-_RECORD = re.compile(r"^\d\d:\d\d:\d\d\.\d{3} (?P<level>[A-Z]+) (?P<message>.*)$")
+_RECORD = re.compile(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3} (?P<level>[A-Z]+) (?P<message>.*)$")
 USUAL = ("DEBUG", "INFO")
 
 

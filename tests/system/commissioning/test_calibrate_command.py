@@ -42,7 +42,7 @@ def test_a_file_gives_the_lines_for_a_scene(
     status, out, error = calibrate(write(tmp_path, text), *options)
     assert (status, error) == (0, "")
     assert 'sensitivity = "44 mV/N"' in out
-    assert "Fig. 4 has 44 mV/N" in out
+    assert "Fig. 4 of Dargahi et al. (2008) has 44 mV/N" in out
 
 
 def test_the_lines_are_valid_in_a_sensors_table(tmp_path: Path) -> None:

@@ -43,6 +43,12 @@ def test_the_safety_case_names_existing_tests() -> None:
     assert named - there == set()
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
+def test_a_line_that_refers_to_a_figure_names_its_paper(page: Path) -> None:
+    lines = page.read_text("utf-8").splitlines()
+    assert not [line for line in lines if "Fig. " in line and "Dargahi" not in line]
+
+
 @pytest.mark.parametrize("name", ["README.md", "constraints.txt", "Dockerfile", "pyproject.toml"])
 def test_no_address_of_a_registry_is_written_down(name: str) -> None:
     text = (ROOT / name).read_text(encoding="utf-8")

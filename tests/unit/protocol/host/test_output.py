@@ -2,6 +2,7 @@ import logging
 import os
 import re
 import stat
+import sys
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -14,7 +15,7 @@ from tests.support.refusals import refusal_of
 ours, library = logging.getLogger("sensing_node.node"), logging.getLogger("zeroconf")
 
 
-def test_any_record_is_one_line_with_time_and_level_and_names_its_exception(
+def test_any_record_is_one_line_with_date_and_level_and_names_its_exception(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     configure_logging()
@@ -24,10 +25,21 @@ def test_any_record_is_one_line_with_time_and_level_and_names_its_exception(
     except ValueError:
         library.exception("failed")
     record, named = capsys.readouterr().err.splitlines()
-    at = r"\d\d:\d\d:\d\d\.\d{3}"
+    at = r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}"
     assert re.fullmatch(rf"{at} WARNING anna\\n12:.*\\x1b\[31mfault.* 100 %", record)
     source = r"\(.*test_output.py:\d+\)"
     assert re.fullmatch(rf"{at} ERROR failed: ValueError: no\\nsuch {source}", named)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo-terminal")
+def test_at_a_terminal_a_record_has_its_time_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, there = os.openpty()
+    with open(here, encoding="utf-8") as reader, open(there, "w", encoding="utf-8") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        configure_logging()
+        ours.warning("loose")
+        terminal.flush()
+        assert re.fullmatch(r"\d\d:\d\d:\d\d\.\d{3} WARNING loose\n", reader.readline())
 
 
 def test_an_unknown_level_is_refused() -> None:

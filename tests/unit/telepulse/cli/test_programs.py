@@ -1,6 +1,7 @@
 """Properties that the three programs share."""
 
 import json
+import tomllib
 from importlib.metadata import version
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 import display_node.cli
 import sensing_node.cli
 import telepulse.cli.main
+from tests.support.nodes import ROOT
 
 PROGRAMS = (telepulse.cli.main.app, sensing_node.cli.app, display_node.cli.app)
 
@@ -22,6 +24,14 @@ def test_every_program_prints_its_version_and_can_be_completed_by_a_shell(app: t
     assert (result.stdout, result.exit_code) == (printed, 0)
     options = [name for part in typer.main.get_command(app).params for name in part.opts]
     assert "--install-completion" in options
+
+
+def test_the_help_of_telepulse_names_the_two_nodes() -> None:
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    nodes = scripts["scripts"].keys() - {"telepulse"}
+    told = CliRunner().invoke(PROGRAMS[0], ["--help"]).stdout
+    assert len(nodes) == 2
+    assert all(node in told for node in nodes)
 
 
 def test_a_dash_writes_json_alone_to_stdout(
