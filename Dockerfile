@@ -3,7 +3,7 @@ FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
 COPY . .
 RUN python -m venv /opt/telepulse \
-    && /opt/telepulse/bin/pip install --no-cache-dir -c constraints.txt '.[view]'
+    && /opt/telepulse/bin/pip install --no-cache-dir -c constraints.txt '.[view,metrics]'
 
 FROM python:3.11-slim-bookworm
 

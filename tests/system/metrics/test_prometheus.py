@@ -15,8 +15,9 @@ MONITORING = ROOT / "docs" / "monitoring"
 
 
 @pytest.mark.skipif(shutil.which("promtool") is None, reason="needs promtool (Debian: prometheus)")
-def test_the_configuration_and_the_rules_are_valid() -> None:
-    command = ["promtool", "check", "config", str(MONITORING / "prometheus.yml")]
+@pytest.mark.parametrize("name", ["prometheus.yml", "compose/prometheus.yml"])
+def test_the_configuration_and_the_rules_are_valid(name: str) -> None:
+    command = ["promtool", "check", "config", str(MONITORING / name)]
     ended = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "8 rules found" in ended.stdout
