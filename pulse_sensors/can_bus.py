@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from protocol.errors import SourceError
+from protocol.input_files import open_regular
 from protocol.wire.description import PULSE
 from pulse_sensors import library
 from pulse_sensors.force_scale import MAX_VALUES
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 SignalName = Annotated[str, Field(min_length=1)]
 SignalNames = Annotated[tuple[SignalName, ...], Field(min_length=1, max_length=MAX_VALUES)]
 WAIT_S = 0.1
+# Largest database that is read: those of whole vehicles have 2 MB.
+MOST_DATABASE_BYTES = 1 << 24
 
 
 class CanScene(SensorScene):
@@ -113,11 +116,14 @@ class CanDecoder:
         path = folder / scene.database
         database_library = library("cantools.database", "a CAN sensor")
         try:
+            # The library opens it again: the format is that of the name.
+            open_regular(path, MOST_DATABASE_BYTES).close()
             database = database_library.load_file(path)
         except FileNotFoundError:
             raise SourceError(f"{path}: no such database") from None
         except Exception as error:  # parsers raise many kinds for a damaged file
-            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            text = str(getattr(error, "strerror", None) or error)
+            reason = (text.splitlines() or [type(error).__name__])[0]
             raise SourceError(f"{path}: cannot be read: {reason:.200}") from None
         self._message = _find_message(scene, path, database.messages)
         signals = {signal.name: signal for signal in self._message.signals}

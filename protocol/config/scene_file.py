@@ -9,17 +9,21 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
 from protocol.config.quantities import shown
 from protocol.errors import SceneError, suggest
+from protocol.input_files import read_regular, shallow
 
 SECTIONS = ("sensing", "display", "link")
 EXTENDS = "extends"
-# Number of files that a scene may consist of.
-MAX_CHAIN = 8
+# Longest path that an operating system takes.
+LONGEST_NAME = 4096
+# Number of files that a scene may consist of, and largest of them: the shipped ones have 2 kB.
+MAX_CHAIN, MOST_BYTES = 8, 1 << 18
 Tables = dict[str, Any]
 
 _HERE = Path(__file__).parents[1]
@@ -39,13 +43,16 @@ def find_scene(name: str) -> Path:
 
     Raises SceneError when there is no scene of that name.
     """
+    if len(name) > LONGEST_NAME:
+        raise SceneError(f"{name[:_KEY_SHOWN]}...: {len(name)} characters are no scene's name")
     path = Path(name)
     if path.suffix == ".toml" or path.name != name:
         return path
     if name in scene_names():
         return _folder() / f"{name}.toml"
-    if path.is_file():
-        return path
+    with suppress(OSError):
+        if path.is_file():
+            return path
     raise SceneError(f"{name}: no such scene; known by name: {', '.join(scene_names())}")
 
 
@@ -96,14 +103,15 @@ def merge(inherited: Tables, own: Tables) -> Tables:
 def load_toml(path: Path, what: str) -> Tables:
     """Read a TOML file; the error of a missing file names `what` it is. Raises SceneError."""
     try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        document = tomllib.loads(shallow(read_regular(path, MOST_BYTES).decode()))
         too_large = next(_too_large(document), None)
     except FileNotFoundError:
         raise SceneError(f"{path}: no such {what}") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, RecursionError) as error:
-        # TOMLDecodeError; numbers of thousands of digits and deep nesting raise other errors.
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError(f"{path}: cannot be read: {reason}") from None
+    except ValueError as error:
+        # TOMLDecodeError, and numbers of thousands of digits.
         raise SceneError(f"{path}: not TOML: {error}") from None
     if too_large is not None:
         raise SceneError(f"{path}: {place(too_large)}: an integer of more than 64 bits")
@@ -125,11 +133,14 @@ def _find_parent(path: Path, parent: object, files: set[Path]) -> Path:
         raise SceneError(f"{path}: {EXTENDS}: must be a scene's name or file, got {shown(parent)}")
     try:
         found = path.parent / find_scene(parent)
-    except SceneError as error:
-        raise SceneError(f"{path}: {EXTENDS}: {error}") from None
-    if found.resolve() in files:
+        resolved, exists = found.resolve(), found.exists()
+    except (SceneError, OSError, ValueError, RuntimeError) as error:
+        # A null character, links in a circle.
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError(f"{path}: {EXTENDS}: {reason}") from None
+    if resolved in files:
         raise SceneError(f"{path}: {EXTENDS}: {found} is this scene or extends it in turn")
-    if not found.exists():
+    if not exists:
         raise SceneError(f"{path}: {EXTENDS}: {found}: no such scene file")
     if len(files) >= MAX_CHAIN:
         raise SceneError(f"{path}: {EXTENDS}: more than {MAX_CHAIN} files extend one another")

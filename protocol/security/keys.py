@@ -17,6 +17,7 @@ from zmq.utils import z85
 
 from protocol.errors import KeyFileError, OutputError
 from protocol.host.output import create_file
+from protocol.input_files import open_regular
 
 SECRET, PUBLIC = "telepulse-secret-key", "telepulse-public-key"
 SECRET_ENDING, PUBLIC_ENDING = ".key", ".pub"
@@ -131,14 +132,13 @@ def read_lines(path: Path, limit_bytes: int, remedy: str) -> tuple[list[str], in
     Raises KeyFileError; remedy: what a person can do where there is no file.
     """
     try:
-        # Opening a pipe would wait for its writer.
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise KeyFileError(f"{path}: it is not a file; {remedy}")
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             mode = os.fstat(file.fileno()).st_mode
             data = file.read(limit_bytes + 1)
     except FileNotFoundError:
         raise KeyFileError(f"{path}: there is no such file; {remedy}") from None
+    except IsADirectoryError:
+        raise KeyFileError(f"{path}: it is a folder; {remedy}") from None
     except OSError as error:
         raise KeyFileError(f"{path}: cannot read: {error.strerror}") from None
     if len(data) > limit_bytes:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.errors import BenchError, SceneError, SourceError
+from protocol.input_files import read_regular
 from protocol.tactile import FIG_4_VOLTS_PER_NEWTON, Film
 from pulse_sensors.force_scale import SensorTable
 from pulse_sensors.sensor import Sensor
@@ -47,6 +48,8 @@ LEAST_SIGNIFICANCE = 3.0
 AVERAGE_S = 2.0
 SETTLE_S = 0.5
 TRIES = 3
+# Largest table of loads that is read: some 100 000 rows.
+MOST_BYTES = 1 << 21
 # Radius of the film under the finger in Table 1 of the paper (docs/explanation/paper.md).
 RADIUS_M = 9e-3
 
@@ -70,14 +73,15 @@ def read_loads(
     without either, loads are in N and readings in mV. Raises SourceError with the line's number.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_regular(path, MOST_BYTES).decode("utf-8-sig")
         rows = [
             (number, row)
             for number, row in enumerate(csv.reader(text.splitlines()), 1)
             if any(cell.strip() for cell in row) and not row[0].lstrip().startswith("#")
         ]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise SourceError(f"{path}: cannot be read: {error}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise SourceError(f"{path}: cannot be read: {reason}") from None
     if not rows:
         raise SourceError(f"{path}: the file is empty")
     found = [(0, ""), (1, "")]

@@ -25,6 +25,7 @@ from scipy.stats import binomtest
 from protocol.config.quantities import count_text
 from protocol.config.scene import validate
 from protocol.errors import OutputError, TelepulseError
+from protocol.input_files import read_regular
 from telepulse.experiment.interval import PlayedInterval, interval_errors
 from telepulse.experiment.session import SessionPlan, SessionTable, Trial, draw_trials
 from telepulse.scene import scene_provenance
@@ -153,6 +154,10 @@ LogLine = SessionHeader | AnsweredTrial | ResumedSession
 _LINE: TypeAdapter[LogLine] = TypeAdapter(LogLine)
 
 
+# Largest log that is read: a trial's line has 500 bytes.
+MOST_BYTES = 1 << 24
+
+
 class SessionLog(NamedTuple):
     """A log that was read. whole_bytes: length of the file up to the last complete line."""
 
@@ -165,7 +170,7 @@ class SessionLog(NamedTuple):
 def read_log(path: Path) -> SessionLog:
     """Read a log. Raises LogError."""
     try:
-        data = path.read_bytes()
+        data = read_regular(path, MOST_BYTES)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from None
     whole_bytes = data.rfind(b"\n") + 1

@@ -140,7 +140,7 @@ def test_a_new_list_is_readable_whatever_a_person_s_default_mode_is(path: Path) 
 
 def test_a_folder_is_no_list_and_has_the_remedy_for_a_list(tmp_path: Path) -> None:
     line = refusal_of(KeyFileError, AllowList, tmp_path)
-    assert line == f"{tmp_path}: it is not a file; give the file of an allow-list"
+    assert line == f"{tmp_path}: it is a folder; give the file of an allow-list"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="modes are POSIX")

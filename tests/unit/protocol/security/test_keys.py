@@ -151,7 +151,7 @@ def test_a_key_may_have_other_white_space_and_case(tmp_path: Path, end: str) -> 
 def test_a_missing_or_unreadable_file_is_refused(tmp_path: Path) -> None:
     for path, reason in (
         (tmp_path / "none.key", "no such file; make keys by: telepulse keys new NAME"),
-        (tmp_path, "not a file"),
+        (tmp_path, "it is a folder"),
     ):
         for read in (read_pair, read_public):
             with pytest.raises(KeyFileError, match=reason):

@@ -39,16 +39,16 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path: Path, suffix: str)
     zeros.symlink_to("/dev/zero")
     os.mkfifo(pipe)
     advice = "copy what it gives into a regular file"
-    assert refusal(zeros) == f"is a character device; {advice}"
-    assert refusal(pipe) == f"is a named pipe; {advice}"
-    assert refusal(Path("/dev/zero")) == f"is a character device; {advice}"
+    assert refusal(zeros) == f"cannot be read: it is a character device; {advice}"
+    assert refusal(pipe) == f"cannot be read: it is a named pipe; {advice}"
+    assert refusal(Path("/dev/zero")) == f"cannot be read: it is a character device; {advice}"
 
 
 def test_a_named_pipe_in_a_record_is_refused_at_once(tmp_path: Path) -> None:
     record = wfdb_record(tmp_path, {"ABP": np.arange(100.0)})
     record.with_suffix(".dat").unlink()
     os.mkfifo(record.with_suffix(".dat"))
-    with pytest.raises(SourceError, match=r"rec\.dat: is a named pipe"):
+    with pytest.raises(SourceError, match=r"rec\.dat: cannot be read: it is a named pipe"):
         record_table(record)
 
 
@@ -139,7 +139,9 @@ def test_what_unpacks_to_too_much_is_refused(
             channel = writer.register_channel("force", "json", 0)
             writer.add_message(channel, 0, b"[" + b" " * 200_000 + b"]", 0)
             writer.finish()
-        assert refusal(path).endswith("unpacks to more than 100000 bytes")
+        assert refusal(path).endswith("unpacks to 200067; at most 100000 are read")
+    monkeypatch.undo()
+    assert refusal(path).endswith("unpack to more than 32 times as many, which no recording does")
 
 
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
