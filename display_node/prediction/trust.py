@@ -9,7 +9,6 @@ expects at each horizon (`path_errors.py`) to those of every E, and chooses:
 - `compensation = "shape"`: the least E at which the prediction changes no shape of the pulse.
 """
 
-import math
 import statistics
 from collections import deque
 from collections.abc import Sequence
@@ -64,10 +63,10 @@ CHOSEN_EVERY_NS = 50_000_000
 # Ages are counted by blocks of half a second: those of the last 1.5 s, or of 5 s without the worst.
 BLOCK_NS = 500_000_000
 BLOCKS, LATELY_BLOCKS = 10, 3
-# Expected shares of the time are corrected by those felt in the last 5 s, within bounds; less than
-# so much is as good as none.
-FOLLOWS = CHOSEN_EVERY_NS / 5e9
-LEAST_CORRECTION, MOST_CORRECTION, AS_NONE = 0.6, 1.4, 0.01
+# Expected shares of the time are corrected until those felt are the target: by so much a choice for
+# each time the target that they are off, at most half of it, within bounds.
+FOLLOWS = CHOSEN_EVERY_NS / 15e9
+MOST_EXCESS, LEAST_CORRECTION, MOST_CORRECTION = 0.5, 0.5, 2.5
 # Excess of the mean age in a second with a stall, in steps.
 STALLED = 2.0
 # Square of the least height of a pulse, in N².
@@ -163,8 +162,8 @@ class LeastError:
         from display_node.prediction.path_errors import expect_by_delay
 
         self._noticed_target, self._expect = noticed_target, expect_by_delay
-        # Shares of the time noticed at the chosen E: as expected, and as felt where it is known.
-        self._expected, self._felt = 0.0, math.nan
+        # Factor of the expected shares, and whether the target permits no smaller E.
+        self._correction, self._limited = 1.0, False
 
     def steps(self, ages: SampleAges, most: int, expected: "Sequence[ExpectedErrors]") -> float:
         """Return the steps of E, up to `most`; expected: errors of each contactor."""
@@ -175,29 +174,26 @@ class LeastError:
             in_phase += squares / max(each.height_n**2, LEAST_N2)
             np.maximum(noticed, shares, out=noticed)
         # After a stall it is noticed at every E: then what is added by a smaller one counts.
-        correction = self._correction
-        noticed = (noticed - noticed[-1]) * correction
+        noticed = (noticed - noticed[-1]) * self._correction
         allowed = noticed <= self._noticed_target
         chosen = int(np.where(allowed, in_phase, np.inf).argmin())
-        self._expected += FOLLOWS * (float(noticed[chosen]) / correction - self._expected)
-        if chosen == 0 or allowed[chosen - 1]:
+        self._limited = chosen > 0 and not allowed[chosen - 1]
+        if not self._limited:
             return chosen
         # Between two steps, where the target is reached.
         more, less = noticed[chosen - 1], noticed[chosen]
         return float(chosen - (self._noticed_target - less) / (more - less))
 
     def follow(self, noticed: float) -> None:
-        """Take the share of the last 5 s in which an error of the prediction was felt."""
-        known = 0.0 if math.isnan(self._felt) else self._felt
-        self._felt = known + FOLLOWS * (noticed - known)
+        """Take the share of the last 5 s in which an error of the prediction was felt.
 
-    @property
-    def _correction(self) -> float:
-        """Factor of the expected shares by what was felt of them."""
-        if math.isnan(self._felt):
-            return 1.0
-        ratio = (self._felt + AS_NONE) / (self._expected + AS_NONE)
-        return min(max(ratio, LEAST_CORRECTION), MOST_CORRECTION)
+        The correction is that of adaptive conformal inference (Gibbs and Candès, 2021), which
+        leads the share that is felt to the target even where the expected one is wrong.
+        """
+        excess = min(noticed / self._noticed_target - 1.0, MOST_EXCESS)
+        if excess > 0.0 or self._limited:
+            corrected = self._correction * (1.0 + FOLLOWS * excess)
+            self._correction = min(max(corrected, LEAST_CORRECTION), MOST_CORRECTION)
 
 
 # Bounds of the RMSE as a share of the pulse's height, for "shape". With them the pulse felt differs
