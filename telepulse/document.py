@@ -9,6 +9,7 @@ import json
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from rich.table import Table as RichTable
 
 from protocol.errors import OutputError
 from protocol.host.output import check_writable, write_whole
+from protocol.input_files import shallow
 from protocol.provenance import Provenance
 
 if TYPE_CHECKING:
@@ -197,6 +199,8 @@ ENTRIES = {
     "gains": "controller in effect",
 }
 REPEATED = ("actuator", "gains")
+# Most entries of a provenance that are shown: a scene of three contactors has 150.
+MOST_ROWS = 1_000
 
 
 def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
@@ -210,7 +214,7 @@ def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
         entries["scene"].pop("tables", None)
     if "effective" in entries:
         entries = {key: value for key, value in entries.items() if key not in REPEATED}
-    if start := entries.get("start_utc"):
+    if isinstance(start := entries.get("start_utc"), str):
         entries["start_utc"] = f"{start[:10]} {start[11:19]}"
     rows: list[tuple[str, str]] = []
     for key in sorted(entries, key=[*ENTRIES, *entries].index):
@@ -221,8 +225,10 @@ def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
             rows += [(name, ""), *((f"`{inner}`", text) for inner, text in _flattened(value))]
         else:
             rows.append((name, _cell(value)))
+    if len(rows) > MOST_ROWS:
+        rows[MOST_ROWS:] = [(f"{len(rows) - MOST_ROWS} further entries", "not shown")]
     head = [
-        str(entries[key]) for key in ("version", "commit", "start_utc", "host") if key in entries
+        _cell(entries[key]) for key in ("version", "commit", "start_utc", "host") if key in entries
     ]
     return Table(title, ("entry", "value"), rows, summary=", ".join(head))
 
@@ -230,10 +236,8 @@ def provenance_table(title: str, provenance: Mapping[str, Any]) -> Table:
 def _plain(value: Any) -> Any:
     """Return the value of a text that holds JSON of a list or a table; any other as it is."""
     if isinstance(value, str) and value[:1] in ("[", "{"):
-        try:
-            return json.loads(value)
-        except ValueError:
-            return value
+        with suppress(ValueError):
+            return json.loads(shallow(value))
     return value
 
 

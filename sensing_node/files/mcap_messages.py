@@ -1,8 +1,10 @@
 """MCAP files: the frames of telepulse's recordings, and any number in messages in JSON."""
 
-import json
+import io
 import math
 import os
+import struct
+import zlib
 from array import array
 from base64 import b64decode
 from collections import defaultdict
@@ -13,18 +15,25 @@ from typing import IO, Any
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
-from mcap import stream_reader
-from mcap.records import Message
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
 
 from protocol.errors import SourceError, WireError
 from protocol.wire.description import Channel
 from protocol.wire.messages import Welcome, decode_control, decode_frame
-from sensing_node.files.bounds import MOST_SAMPLES
+from sensing_node.files.bounds import MOST_SAMPLES, read_json
 from sensing_node.files.grids import FREE_GAP, MOST_GAPS, evenly, unsteady
 from sensing_node.files.signals import ColumnKey, Floats, SignalFile, SignalInfo, finite
 
 MAGIC = b"\x89MCAP0\r\n"
-MAX_RECORD_BYTES = 1 << 28
+# Largest record that is read, and largest chunk when unpacked: recorders begin a new chunk after 1
+# to 8 MB.
+MAX_RECORD_BYTES = 1 << 25
+# Metadata are many short texts, each of which takes 20 times its length in memory.
+MAX_METADATA_BYTES = 1 << 21
+# Unpacked bytes for each byte of the file: a display's recording has 3 to 6, without index 13.
+MOST_UNPACKED = 32
 FRAME_SCHEMA, STREAM_SCHEMA = "telepulse.Frame", "telepulse.Stream"
 # Most signals of a file, and tables in tables of a message.
 MOST_FIELDS, DEEPEST = 256, 4
@@ -41,8 +50,8 @@ class McapRecords:
 
     The attributes are complete once all records were read.
 
-    whole: the file has its end. damaged: chunks with a wrong checksum, which are left out.
-    cut_bytes: bytes at the end of the file that cannot be read.
+    whole: the file has its end. damaged: chunks that cannot be unpacked or have a wrong checksum,
+    which are left out. cut_bytes: bytes at the end of the file that cannot be read.
     """
 
     def __init__(self, file: IO[bytes], path: Path) -> None:
@@ -50,73 +59,99 @@ class McapRecords:
         self.whole = False
         self.damaged = self.cut_bytes = 0
         self._file, self._path = file, path
+        self._size_bytes = os.fstat(file.fileno()).st_size
+        self._unpacked_bytes = 0
         magic = file.read(len(MAGIC))
         if magic != MAGIC:
             raise SourceError(f"{path}: is {'not an MCAP file' if magic else 'empty'}")
-        file.seek(0)
 
     def __iter__(self) -> Iterator[Any]:
-        """Yield the records of the data section, also those in chunks."""
-        records = stream_reader.StreamReader(
-            _BoundedFile(self._file),  # type: ignore[arg-type]
-            emit_chunks=True,
-            record_size_limit=MAX_RECORD_BYTES,
-        ).records
-        size_bytes = os.fstat(self._file.fileno()).st_size
+        """Yield schemas, channels, metadata and messages, also those in chunks.
+
+        Raises SourceError for a file that would take more memory than its size permits.
+        """
+        found = self._read(self._file, self._size_bytes)
         while True:
-            self.cut_bytes = size_bytes - self._file.tell()
+            self.cut_bytes = self._size_bytes - self._file.tell()
             try:
-                record = next(records)
-            except StopIteration:
-                return
+                record = next(found, None)
             except OSError:
                 raise
             except Exception:  # the exceptions for a broken end depend on its bytes
                 return
-            kind = type(record).__name__
-            if kind == "DataEnd":
+            if record is None:
+                return
+            if isinstance(record, records.DataEnd):
                 self.whole, self.cut_bytes = True, 0
                 return
-            if kind != "Chunk":
+            if not isinstance(record, records.Chunk):
                 yield record
                 continue
-            chunk: Any = record
-            if max(chunk.uncompressed_size, _unpacked_bytes(chunk)) > MAX_RECORD_BYTES:
-                raise SourceError(
-                    f"{self._path}: a chunk of {len(chunk.data)} bytes unpacks to more than"
-                    f" {MAX_RECORD_BYTES} bytes"
-                )
             try:
-                inner = stream_reader.breakup_chunk(chunk, validate_crc=True)
+                data = self._unpacked(record)
+                yield from self._read(io.BytesIO(data), len(data))
+            except OSError:
+                raise
             except Exception:  # likewise
                 self.damaged += 1
+
+    def _read(self, file: IO[bytes], size_bytes: int) -> Iterator[Any]:
+        """Yield records one by one; others, such as attachments and indexes, are passed over.
+
+        Raises several errors for one that is broken, SourceError for one that is too long.
+        """
+        while head := file.read(_HEAD.size):
+            opcode, length = _HEAD.unpack(head)
+            if length > size_bytes - file.tell():
+                raise EOFError
+            if opcode not in _READ:
+                file.seek(length, os.SEEK_CUR)
                 continue
-            yield from inner
+            most = MAX_METADATA_BYTES if opcode == Opcode.METADATA else MAX_RECORD_BYTES
+            if length > most:
+                raise SourceError(
+                    f"{self._path}: a record has {length} bytes; at most {most} are read"
+                )
+            data = file.read(length)
+            if opcode == Opcode.MESSAGE:
+                channel, sequence, log_ns, publish_ns = _MESSAGE.unpack_from(data)
+                yield records.Message(channel, log_ns, data[_MESSAGE.size :], publish_ns, sequence)
+            else:
+                yield _READ[opcode].read(ReadDataStream(io.BytesIO(data)))
+
+    def _unpacked(self, chunk: records.Chunk) -> bytes:
+        """Return the bytes in a chunk. Raises SourceError beyond the bounds, others if damaged."""
+        stated = chunk.uncompressed_size
+        self._unpacked_bytes += stated
+        if stated > MAX_RECORD_BYTES:
+            raise SourceError(
+                f"{self._path}: a chunk of {len(chunk.data)} bytes unpacks to {stated}; at most"
+                f" {MAX_RECORD_BYTES} are read"
+            )
+        if self._unpacked_bytes > MOST_UNPACKED * self._size_bytes:
+            raise SourceError(
+                f"{self._path}: its {self._size_bytes} bytes unpack to more than {MOST_UNPACKED}"
+                " times as many, which no recording does"
+            )
+        data = chunk.data
+        if chunk.compression == "zstd" and zstandard.frame_content_size(data) in (-1, stated):
+            data = zstandard.decompress(data, max_output_size=stated)
+        elif chunk.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=stated + 1)
+        if len(data) != stated or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+            raise ValueError("damaged")
+        return data
 
 
-def _unpacked_bytes(chunk: Any) -> int:
-    """Return the bytes that a compressed chunk unpacks to, or more than are read; 0 if unknown."""
-    try:
-        if chunk.compression == "zstd":
-            return int(zstandard.frame_content_size(chunk.data))
-        if chunk.compression == "lz4":
-            unpacker = lz4.frame.LZ4FrameDecompressor()
-            return len(unpacker.decompress(chunk.data, max_length=MAX_RECORD_BYTES + 1))
-    except (RuntimeError, zstandard.ZstdError):
-        # The chunk is damaged.
-        return 0
-    return 0
-
-
-class _BoundedFile:
-    """File that limits reads to its size: a damaged length would allocate gigabytes."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self._size = os.fstat(file.fileno()).st_size
-
-    def read(self, count: int) -> bytes:
-        return self._file.read(min(count, max(0, self._size - self._file.tell())))
+_HEAD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
+_READ: dict[int, Any] = {
+    Opcode.SCHEMA: records.Schema,
+    Opcode.CHANNEL: records.Channel,
+    Opcode.MESSAGE: records.Message,
+    Opcode.METADATA: records.Metadata,
+    Opcode.CHUNK: records.Chunk,
+    Opcode.DATA_END: records.DataEnd,
+}
 
 
 class _Frames:
@@ -172,28 +207,28 @@ def read(path: Path) -> SignalFile:
     frames, others, unread = _Frames(), set[str](), 0
     fields: _Fields = {}
     with path.open("rb") as file:
-        records = McapRecords(file, path)
-        for record in records:
-            match type(record).__name__:
-                case "Schema":
+        mcap = McapRecords(file, path)
+        for record in mcap:
+            match record:
+                case records.Schema():
                     schemas[record.id] = record.name
-                case "Channel":
+                case records.Channel():
                     schema = schemas.get(record.schema_id, "")
                     channels[record.id] = (record.topic, schema, record.message_encoding)
-                case "Message" if record.channel_id in channels:
+                case records.Message() if record.channel_id in channels:
                     topic, schema, encoding = channels[record.channel_id]
                     if encoding != "json":
                         others.add(f"{topic} ({encoding})")
                         continue
                     try:
                         _take(record, topic, schema, frames, fields)
-                    except (ValueError, TypeError, KeyError, RecursionError, WireError):
+                    except (ValueError, TypeError, KeyError, WireError):
                         unread += 1
     notes = []
-    if not records.whole:
-        notes.append(f"breaks off: {records.cut_bytes} bytes at its end cannot be read")
-    if records.damaged:
-        notes.append(f"damaged chunks are left out: {records.damaged}")
+    if not mcap.whole:
+        notes.append(f"breaks off: {mcap.cut_bytes} bytes at its end cannot be read")
+    if mcap.damaged:
+        notes.append(f"damaged chunks are left out: {mcap.damaged}")
     if unread:
         notes.append(f"messages that cannot be decoded are left out: {unread}")
     if others:
@@ -208,9 +243,11 @@ def read(path: Path) -> SignalFile:
     return SignalFile(path, signals, lambda number: found[number][1], tuple(notes), left_out)
 
 
-def _take(message: Message, topic: str, schema: str, frames: _Frames, fields: _Fields) -> None:
+def _take(
+    message: records.Message, topic: str, schema: str, frames: _Frames, fields: _Fields
+) -> None:
     """Take the numbers of a message. Raises several errors for one that is damaged."""
-    content = json.loads(message.data)
+    content = read_json(message.data)
     if schema in (FRAME_SCHEMA, STREAM_SCHEMA):
         frames.take(schema, content["data"])
         return

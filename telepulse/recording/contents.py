@@ -127,8 +127,10 @@ class RecordingContents:
         name, text = fields["name"], fields["message"]
         if name == "begin":
             self._begin()
-        event = RecordedEvent(unix_ns, fields["level"], name, text, self.receiver.session)
-        self.events.append(event)
+        level = fields["level"]
+        if (type(level), type(name), type(text)) != (int, str, str):
+            raise TypeError("an event's level is no number, or its name or text is no text")
+        self.events.append(RecordedEvent(unix_ns, level, name, text, self.receiver.session))
 
     def _status(self, unix_ns: int, fields: Fields) -> None:
         before, new = self.summary or Summary(), read_summary(fields["summary"])

@@ -136,8 +136,13 @@ class RunFindings:
 
 
 def read_findings(path: Path) -> RunFindings:
-    """Read a recording to its end, also one that was cut short. Raises SourceError."""
-    contents = read_contents(RecordingReader(path))
+    """Read a recording to its end, also one that was cut short, which is logged.
+
+    Raises SourceError.
+    """
+    reader = RecordingReader(path)
+    contents = read_contents(reader)
+    reader.log_gaps()
     if contents.begin_ns is None:
         raise SourceError(f"{path}: holds no message")
     with reading(path):

@@ -1,6 +1,5 @@
 """Reader of a recording, whole or cut short because its recorder was killed."""
 
-import json
 import logging
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -10,11 +9,16 @@ from typing import IO, Any, NamedTuple
 
 from protocol.config.quantities import count_text
 from protocol.errors import SourceError
+from protocol.input_files import open_regular
+from sensing_node.files.bounds import read_json
 from telepulse.recording.mcap_writer import ABOUT, PROVENANCE
 from telepulse.telemetry.decoder import Entry
 from telepulse.telemetry.schema import CLOCK, EVENT, FRAME, REFUSED, SCHEMAS, STREAM, TICK
 
 logger = logging.getLogger(__name__)
+
+# Most entries of metadata: a recorder writes at most 100 runs of some 14 each.
+MOST_ENTRIES = 10_000
 
 
 class RecordedMessage(NamedTuple):
@@ -27,10 +31,7 @@ class RecordedMessage(NamedTuple):
     @property
     def fields(self) -> dict[str, Any]:
         """Fields of the message. Raises ValueError where its data is no table."""
-        try:
-            fields = json.loads(self.data)
-        except RecursionError:
-            raise ValueError("nested too deep") from None
+        fields = read_json(self.data)
         if type(fields) is not dict:
             raise ValueError(f"not a table: {fields!r:.40}")
         return fields
@@ -66,6 +67,7 @@ class RecordingReader:
         self.end_ns = 0
         self.provenance: list[dict[str, str]] = []
         self.about: dict[str, str] = {}
+        self._entries = 0
 
     def gaps(self) -> list[str]:
         """Return a line for each part that could not be read; complete once all was read."""
@@ -90,7 +92,7 @@ class RecordingReader:
         """Read from the beginning. Raises SourceError for a file that is no recording."""
         self._begin()
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 yield from self._messages(file)
         except FileNotFoundError:
             raise SourceError(f"{self.path}: no such recording") from None
@@ -112,10 +114,8 @@ class RecordingReader:
                 case "Channel":
                     channels[record.id] = record.topic
                     ours = ours or schemas.get(record.schema_id) == SCHEMAS[FRAME][0]
-                case "Metadata" if record.name == PROVENANCE:
-                    self.provenance.append(dict(record.metadata))
-                case "Metadata" if record.name == ABOUT:
-                    self.about |= record.metadata
+                case "Metadata" if record.name in (PROVENANCE, ABOUT):
+                    self._describe(record.name, record.metadata)
                 case "Message" if ours and record.channel_id in channels:
                     if self.begin_ns is None:
                         self.begin_ns = record.log_time
@@ -128,6 +128,19 @@ class RecordingReader:
             topics = ", ".join(sorted(set(channels.values())))
             held = f"its topics are {topics[:200]}" if topics else "it is empty"
             raise SourceError(f"{self.path}: holds no telepulse recording; {held}")
+
+    def _describe(self, name: str, entries: dict[str, str]) -> None:
+        """Take metadata. Raises SourceError for more than a recorder writes."""
+        self._entries += len(entries)
+        if self._entries > MOST_ENTRIES:
+            raise SourceError(
+                f"{self.path}: describes its runs in more than {MOST_ENTRIES} entries, which no"
+                " recording does"
+            )
+        if name == ABOUT:
+            self.about |= entries
+        else:
+            self.provenance.append(entries)
 
 
 @contextmanager

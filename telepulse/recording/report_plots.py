@@ -258,8 +258,9 @@ def _counts(axes: "Axes", findings: RunFindings, *names: str) -> float:
 
 
 def _legend(axes: "Axes") -> None:
-    """Place the legend above the plot, where it hides nothing."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderpad=0.1)
+    """Place the legend above the plot, where it hides nothing; none where nothing has a name."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderpad=0.1)
 
 
 def _limits(values: Floats, jnd: float) -> tuple[float, float]:
