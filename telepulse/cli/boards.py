@@ -24,7 +24,7 @@ from protocol.host.process import interrupt_on_signals
 from pulse_drives.stepdir.frames import SENSOR_FORMATS, Format, board_reader
 from pulse_drives.stepdir.scene import StepdirScene
 from pulse_sensors.serial_port import SerialScene
-from telepulse.cli.options import PROGRAM
+from telepulse.cli.options import KEEP_AWAY, PROGRAM
 from telepulse.emulators import sketch
 from telepulse.emulators.sensor_board import COUNTS
 from telepulse.processes import prefer
@@ -57,7 +57,7 @@ NAME_THEM = (
 WHAT_HAPPENS = (
     "The finger's board is on {finger}, the wrist's on {wrist}.\n"
     "First the bench is checked, with nothing on the wrist's film: the drive seeks home and presses"
-    " with up to {force:g} N. Keep fingers away: put a dummy of rubber in the finger's place."
+    " with up to {force:g} N. " + KEEP_AWAY
 )
 COMPILED = (
     "the finger's board is its own sketch, compiled for this machine; the wrist's is emulated byte"

@@ -23,6 +23,7 @@ from pulse_sensors.drive_film import DriveFilmScene
 from pulse_sensors.sensor import Sensor, open_sensor
 from sensing_node.scene import SensingScene
 from telepulse.cli.options import (
+    KEEP_AWAY,
     PROGRAM,
     ContactorOption,
     PageOption,
@@ -45,10 +46,7 @@ from telepulse.commissioning.calibration import (
 from telepulse.document import Report, print_tables, write_json
 from telepulse.scene import DEFAULT_SCENE, load_scene
 
-WARNING = (
-    "The drive will move and press with up to {force}."
-    " Keep fingers away: put a dummy of rubber in the finger's place."
-)
+WARNING = "The drive will move and press with up to {force}. " + KEEP_AWAY
 
 
 def bench(

@@ -20,6 +20,8 @@ from telepulse.document import (
 )
 
 PROGRAM = "telepulse"
+# The tip's own rubber is ten times harder than a finger: the dummy is of gel.
+KEEP_AWAY = "Keep fingers away: put a dummy of gel in the finger's place."
 # Exit status of a recorder or an outlet that missed telemetry.
 NOT_WHOLE = 1
 
