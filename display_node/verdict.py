@@ -162,11 +162,16 @@ def _delay(summary: Summary) -> Iterator[str]:
         default=None,
     )
     off = "" if off_n is None else f", off by {1e3 * off_n:.1f} mN in phase"
-    tail = "" if network.p99 is None else f" (99 % within {network.p99:.1f} ms)"
+    # Beyond the range of the histogram its end is a lower bound.
+    over, beyond = ("over " if name in network.beyond else "" for name in ("p50", "p99"))
+    tail = ""
+    if network.p99 is not None:
+        share = f"99 % within {network.p99:.1f} ms"
+        tail = f" ({f'at most {network.max:.1f} ms' if beyond and network.max else share})"
     yield _in_time(
         summary,
         f"the finger felt the pulse {max(felt_ms, 0.0):.1f} ms after the wrist on average"
-        f"{ahead}{off}; the network took {network.p50:.1f} ms{tail}.",
+        f"{ahead}{off}; the network took {over}{network.p50:.1f} ms{tail}.",
     )
 
 

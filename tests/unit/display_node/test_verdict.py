@@ -56,6 +56,14 @@ def test_a_good_run_is_told_in_five_lines() -> None:
     )
 
 
+def test_a_delay_beyond_the_range_is_a_bound() -> None:
+    beyond = OneWayDelay(p50=2000.0, p99=2000.0, max=30_125.0, beyond=["p50", "p99"])
+    lines, _ = verdict(replace(FINE, one_way_delay_ms=beyond))
+    assert any(
+        line.endswith("the network took over 2000.0 ms (at most 30125.0 ms).") for line in lines
+    )
+
+
 REFUSED = Reason("tcp://wrist:5555 does not allow it", "there: telepulse keys allow finger.pub")
 NOT_FELT = {"availability": Availability(9.0, felt=0.0, waiting=0.99)}
 
