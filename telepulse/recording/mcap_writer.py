@@ -26,7 +26,8 @@ class RetryingFile:
         """Create the file. Raises OutputError, also if it exists."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
         try:
-            self._file = os.open(path, flags, 0o666)
+            # A pulse is a person's: only the owner reads it, as a key.
+            self._file = os.open(path, flags, 0o600)
         except FileExistsError:
             raise OutputError(f"{path}: exists already; name another file") from None
         except OSError as error:

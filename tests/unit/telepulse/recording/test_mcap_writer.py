@@ -7,6 +7,7 @@ foxglove.Log. Foxglove itself is not run.
 import errno
 import math
 import os
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -154,3 +155,9 @@ def test_the_files_summary_has_counts_and_times(recording: Path) -> None:
     for chunk in summary.chunk_indexes:
         assert chunk.message_start_time <= chunk.message_end_time
         assert chunk.message_index_length > 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such modes")
+def test_only_the_owner_reads_a_new_recording(path: Path) -> None:
+    McapWriter(path).close()
+    assert path.stat().st_mode & 0o777 == 0o600
