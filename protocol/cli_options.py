@@ -15,7 +15,7 @@ from rich.console import Console
 from protocol.errors import DriveError, TelepulseError
 from protocol.faults import FaultKind
 from protocol.host.child_process import Sidecar, sidecar_module
-from protocol.host.output import STDOUT
+from protocol.host.output import STDOUT, escaped
 from protocol.host.realtime import RealtimeGrant, RealtimeRequest, apply_realtime
 from protocol.provenance import Provenance
 from protocol.security.allow_list import FILE_NAME
@@ -200,7 +200,7 @@ def one_line_errors(program: str) -> Iterator[None]:
         print(f"\n{program}: there was no answer", file=sys.stderr)
         raise SystemExit(NO_ANSWER) from None
     except TelepulseError as error:
-        print(f"{program}: {error}", file=sys.stderr)
+        print(f"{program}: {escaped(str(error))}", file=sys.stderr)
         failed = isinstance(error, DriveError) and error.kind is FaultKind.INTERNAL
         raise SystemExit(FAULT_STATUS if failed else USAGE_ERROR) from None
 

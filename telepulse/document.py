@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from protocol.errors import OutputError
-from protocol.host.output import check_writable, write_whole
+from protocol.host.output import check_writable, escaped, write_whole
 from protocol.input_files import shallow
 from protocol.provenance import Provenance
 
@@ -363,9 +363,11 @@ def print_tables(report: Report, console: Console) -> None:
             if not isinstance(table, Table):
                 continue
             if table.summary:
-                console.print(f"{table.title}: {table.summary}", markup=False)
+                console.print(escaped(f"{table.title}: {table.summary}"), markup=False)
                 continue
-            shown = RichTable(title=table.title, title_justify="left", caption=table.note or None)
+            shown = RichTable(
+                title=escaped(table.title), title_justify="left", caption=table.note or None
+            )
             least = 1
             for position, column in enumerate(table.columns):
                 longest = max((len(row[position]) for row in table.rows), default=0)
@@ -377,10 +379,10 @@ def print_tables(report: Report, console: Console) -> None:
                 shown.add_column(column, justify="left" if words else "right", min_width=width)
                 least += width + 3
             for row in table.rows:
-                shown.add_row(*row)
+                shown.add_row(*map(escaped, row))
             console.print(shown, width=max(console.width, least), crop=False)
     for finding in report.findings:
-        console.print(finding, markup=False, highlight=False)
+        console.print(escaped(finding), markup=False, highlight=False)
 
 
 def percent(share: float, form: str = ".1f") -> str:

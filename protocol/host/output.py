@@ -47,6 +47,16 @@ CLOSE_WITHIN_S = 5.0
 _LOOK_EVERY_S = 0.02
 
 
+def escaped(text: str) -> str:
+    """Return a text for a line of a terminal: its control characters would change the screen."""
+    if text.isprintable():
+        return text
+    return "".join(
+        each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )
+
+
 class LineFormatter(logging.Formatter):
     """Formatter of a record as one line of printable characters."""
 
@@ -64,11 +74,7 @@ class LineFormatter(logging.Formatter):
             # The innermost line of the traceback.
             for frame in traceback.extract_tb(trace)[-1:]:
                 text += f" ({frame.filename}:{frame.lineno})"
-        printable = "".join(
-            each if each.isprintable() else each.encode("unicode_escape").decode("ascii")
-            for each in text
-        )
-        return f"{at}.{int(record.msecs):03d} {record.levelname} {printable}"
+        return f"{at}.{int(record.msecs):03d} {record.levelname} {escaped(text)}"
 
 
 # A program that reads this one's log sets it, to any text.

@@ -2,8 +2,6 @@
 
 import json
 import os
-import resource
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +12,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from telepulse.recording.mcap_writer import PROVENANCE
 from telepulse.telemetry.schema import EVENT, FRAME, SCHEMAS, TICK
+from tests.support.nodes import run, run_python
 
 PATIENCE_S = 120.0
 MOST_KB = 300_000
@@ -40,29 +39,26 @@ SCENES = {
 }
 
 
+# A process has the memory of its parent at first: that of pytest would be measured.
+MEASURED = """
+import json, resource, subprocess, sys
+resource.setrlimit(resource.RLIMIT_DATA, (1 << 32, 1 << 32))
+command = [sys.executable, "-m", "telepulse", *sys.argv[1:]]
+done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+most_kb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+print(json.dumps([done.returncode, most_kb, done.stdout]))
+"""
+
+
 def refused(folder: Path, *arguments: str) -> str:
     """Run a command with a bound of its memory, and return the one line that it refuses with."""
-
-    def bound_memory() -> None:
-        resource.setrlimit(resource.RLIMIT_DATA, (1 << 32, 1 << 32))
-
-    with subprocess.Popen(
-        [sys.executable, "-m", "telepulse", *arguments],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        preexec_fn=bound_memory,
-    ) as process:
-        assert process.stdout is not None
-        output = process.stdout.read()
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    assert process.returncode == 2, output
-    assert used.ru_maxrss < MOST_KB
+    done = run_python("-c", MEASURED, *arguments, cwd=folder, timeout=PATIENCE_S)
+    status, most_kb, output = json.loads(done.stdout)
+    assert status == 2, output
+    assert most_kb < MOST_KB
     (line,) = output.splitlines()
     assert line.startswith("telepulse: ")
-    return line
+    return str(line)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="devices and memory as Linux has them")
@@ -73,6 +69,35 @@ def test_a_scene_is_refused_before_it_is_read_whole(text: str, tmp_path: Path) -
     (tmp_path / "scene.toml").write_text(text)
     line = refused(tmp_path, "simulate", "scene.toml", "--seconds", "1")
     assert len(line) < 300
+
+
+CONTROL = "\x1b[31mred\x07\u202e\nsecond"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory as Linux states it")
+@pytest.mark.timeout(PATIENCE_S)
+def test_a_name_of_a_scene_changes_no_screen(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(f"extends = {json.dumps(CONTROL)}\n")
+    line = refused(tmp_path, "simulate", "scene.toml")
+    assert r"\x1b[31mred\x07\u202e\nsecond" in line
+
+
+@pytest.mark.timeout(PATIENCE_S)
+def test_an_event_of_a_recording_changes_no_screen(tmp_path: Path) -> None:
+    event = json.dumps({"level": 2, "name": CONTROL, "message": CONTROL}).encode()
+    begin = json.dumps({"level": 2, "name": "begin", "message": CONTROL}).encode()
+
+    def fill(writer: Writer, channels: dict[str, int]) -> None:
+        for data in (begin, event):
+            writer.add_message(channels[EVENT], 1, data, 1)
+        writer.add_metadata(PROVENANCE, {"version": CONTROL, "host": CONTROL})
+
+    write(tmp_path / "run.mcap", fill)
+    done = run("telepulse", "report", str(tmp_path / "run.mcap"), "--out", str(tmp_path / "page"))
+    assert done.returncode == 0
+    printed = done.stdout + done.stderr
+    assert "red" in printed
+    assert [line for line in printed.splitlines() if not line.isprintable()] == []
 
 
 def many(topic: str, data: bytes, count: int) -> Callable[[Writer, dict[str, int]], None]:
