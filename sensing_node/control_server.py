@@ -267,16 +267,25 @@ class ControlServer:
         if client.again_ns is None:
             client.again_ns = now_ns
         elif name and now_ns - client.again_ns >= TWINS_AFTER_NS:
-            again_ns, client.is_announced = client.again_ns, False
-            for other_sender in [k for k, other in self.clients.items() if other.name == name]:
-                other = self.clients[other_sender]
-                if other.seen_ns < again_ns:
-                    # It has sent nothing since: the display has gone back to its first connection.
-                    client.is_announced |= self._make_further(other_sender)
-                else:
-                    other.is_twin = client.is_twin = True
+            others = {k: other for k, other in self.clients.items() if other.name == name}
+            silent = {k for k, other in others.items() if self._has_left(other, client, now_ns)}
+            twins = [other for k, other in others.items() if k not in silent]
+            if any(other.seen_ns - client.again_ns < TWINS_AFTER_NS for other in twins):
+                # What it has sent since may be late: the next report decides.
+                return client
+            announced = {self._make_further(k) for k in silent}
+            client.is_announced = True in announced
+            client.is_twin = bool(twins)
+            for other in twins:
+                other.is_twin = True
             self.clients[sender] = self._further.pop(sender)
         return client
+
+    @staticmethod
+    def _has_left(other: Client, client: Client, now_ns: int) -> bool:
+        """Return whether the display of both has left the other connection for the client's."""
+        again_ns = now_ns if client.again_ns is None else client.again_ns
+        return other.seen_ns < again_ns or now_ns - other.seen_ns >= TWINS_AFTER_NS
 
     def _further_connection(self, sender: Sender, now_ns: int) -> Client:
         """Return the further connection of a display, which is no display of its own."""

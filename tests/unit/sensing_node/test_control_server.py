@@ -197,13 +197,17 @@ def test_what_an_old_connection_of_a_forgotten_display_delivers_is_not_another_d
         server.clients.clear()
 
 
+@pytest.mark.parametrize("late_ms", [0, 400, 700])
 def test_a_display_that_goes_back_to_its_first_connection_is_one_client(
-    server: ControlServer,
+    server: ControlServer, late_ms: int
 ) -> None:
     ask(server, ANNA, HELLO)
     ask(server, BERT, HELLO, NOW_NS + 250 * MS)
     server.clients[BERT].is_announced = True
     for now_ns in range(NOW_NS + 300 * MS, NOW_NS + FORGET_AFTER_NS + 2 * SECOND_NS, 100 * MS):
+        # A message of the second connection may still be on its way.
+        if late_ms and now_ns == NOW_NS + 300 * MS + late_ms * MS:
+            ask(server, BERT, ClockRequest(1), now_ns)
         ask(server, ANNA, report() if now_ns % SECOND_NS == 0 else ClockRequest(now_ns), now_ns)
         assert server.forget_silent(now_ns) == []
     assert list(server.clients) == [ANNA]
